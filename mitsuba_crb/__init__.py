@@ -1,0 +1,52 @@
+"""How precisely could any algorithm estimate this camera's pose from this image of this scene?
+
+The public API, loaded on first use (PEP 562), so that the NumPy half imports without Mitsuba.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from . import errors as errors
+    from . import noise as noise
+    from . import se3 as se3
+    from .bound import PoseBound as PoseBound
+    from .bound import cramer_rao_bound as cramer_rao_bound
+    from .information import FisherInformation as FisherInformation
+    from .information import ImageJacobian as ImageJacobian
+    from .information import fisher_information as fisher_information
+    from .measure import pose_bound as pose_bound
+    from .measure import pose_jacobian as pose_jacobian
+    from .scene import load_scene as load_scene
+    from .validation import check_jacobian as check_jacobian
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "PoseBound": "bound",
+    "cramer_rao_bound": "bound",
+    "FisherInformation": "information",
+    "ImageJacobian": "information",
+    "fisher_information": "information",
+    "pose_bound": "measure",
+    "pose_jacobian": "measure",
+    "load_scene": "scene",
+    "check_jacobian": "validation",
+}
+_MODULES = ("errors", "noise", "se3")
+
+__all__ = [*_HOME, *_MODULES, "__version__"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
+    if name in _MODULES:
+        return importlib.import_module(f".{name}", __name__)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,71 @@
+"""Every exception and warning of the library, one sentence each.
+
+All derive from `MitsubaCRBError`, so that the command catches one class, prints one line and exits
+with code 2. A message says what was got, what was expected and what to change.
+"""
+
+from __future__ import annotations
+
+
+class MitsubaCRBError(Exception):
+    """Base class of everything that this library raises on purpose."""
+
+
+class LLVMError(MitsubaCRBError):
+    """No LLVM library that Dr.Jit can use was found, or the one named is too old."""
+
+
+class VariantError(MitsubaCRBError):
+    """Mitsuba is missing, or runs in a variant other than llvm_ad_rgb."""
+
+
+class SceneError(MitsubaCRBError):
+    """A scene cannot be read: file, plugin, property, texture, mesh or parameter is at fault."""
+
+
+class SensorError(MitsubaCRBError):
+    """A sensor does not exist, or is of a kind whose pose cannot be bounded."""
+
+
+class FilmError(MitsubaCRBError):
+    """A film or its reconstruction filter does not measure linear RGB."""
+
+
+class IntegratorError(MitsubaCRBError):
+    """An integrator returns no radiance for a ray, or hides the camera's derivative from this method."""
+
+
+class PoseError(MitsubaCRBError):
+    """A pose is not a rigid motion, or cannot be parsed."""
+
+
+class OptionError(MitsubaCRBError):
+    """An option (spp, batches, size, tile, seed, method) has a value that cannot be used."""
+
+
+class PixelsError(MitsubaCRBError):
+    """A pixel selection is empty, malformed or of the wrong size."""
+
+
+class NoiseError(MitsubaCRBError):
+    """A noise model has impossible parameters, or does not match the image."""
+
+
+class RadianceError(MitsubaCRBError):
+    """The renderer returned radiance that is not finite."""
+
+
+class FrameError(MitsubaCRBError):
+    """Matrices of different variables, frames or linearisation poses were mixed."""
+
+
+class OutputError(MitsubaCRBError):
+    """An output file cannot be written; checked before anything is rendered."""
+
+
+class BlindSpotWarning(UserWarning):
+    """A method cannot see some of the scene's image changes; the information is too small."""
+
+
+class PrecisionWarning(UserWarning):
+    """float32 rendering, or too few samples, limits what the number is worth."""

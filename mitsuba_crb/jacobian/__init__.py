@@ -1,0 +1,1 @@
+"""The Jacobian dI/dξ of a rendered image: one interface, several methods."""
