@@ -1,0 +1,117 @@
+"""Forward-mode automatic differentiation of the rendering: the paper's Algorithm 1.
+
+    to_world(ξ) = world_from_camera·exp(ξ),   dI/dξ_i = one forward pass from ξ_i through the integrator.
+
+Right for radiance that is smooth along the camera rays (radiance fields, smooth textures under smooth light).
+Blind to everything that jumps: it differentiates L at fixed film points, so checkerboards, nearest-filtered
+bitmaps, silhouettes and shadows contribute nothing.
+Source: Muthukkumar 2025, Algorithm 1; design section 4.2.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import IntegratorError
+from .pixels import PixelFilter, camera_ray, lane_sampler, lanes, move_ray, radiance
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+    from ..scene import View
+
+
+MAX_LANES = 1 << 18
+"""Paths per kernel launch; bounds the memory."""
+
+
+def refuse_detached(integrator: mi.SamplingIntegrator) -> None:
+    """Raise for integrators that detach camera rays, whose derivative would be a silent zero.
+
+    Raises:
+        IntegratorError: names the integrator.
+    """
+    from mitsuba.python.ad.integrators.common import ADIntegrator
+
+    if isinstance(integrator, ADIntegrator):
+        raise IntegratorError(
+            f"integrator {type(integrator).__name__} detaches camera rays, so method 'forward' would see "
+            "nothing: use path, direct or volpath, or another method"
+        )
+
+
+def jacobian(
+    view: View,
+    pixels: NDArray[np.int64],
+    *,
+    spp: int,
+    seed: int,
+    batches: int,
+    length_scale: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """dI/dξ in the camera frame by six forward passes.
+
+    Args:
+        pixels: (n, 2) columns and rows.
+        spp: paths per pixel over all batches.
+        length_scale: unused; one interface for all methods.
+
+    Returns:
+        (batches, n, 3, 6) Jacobians [radiance / scene unit, radiance / rad], and the image (n, 3).
+
+    Raises:
+        IntegratorError: the integrator detaches camera rays.
+    """
+    refuse_detached(view.integrator)
+    values = np.empty((batches, len(pixels), 3, 6))
+    image = np.empty((len(pixels), 3))
+    count = max(1, MAX_LANES // spp)
+    for start in range(0, len(pixels), count):
+        part = slice(start, start + count)
+        for axis in range(6):
+            column, primal = _column(view, pixels[part], spp, seed, axis)
+            values[:, part, :, axis] = (
+                column.reshape(-1, batches, spp // batches, 3).mean(axis=2).swapaxes(0, 1)
+            )
+        image[part] = primal.mean(axis=1)
+    return values, image
+
+
+def _column(
+    view: View, pixels: NDArray[np.int64], spp: int, seed: int, axis: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """One derivative and the radiance, per pixel and path: (n, spp, 3) each.
+
+    One lane per path: Dr.Jit 1.5 cannot differentiate a loop over samples around the integrator's own loop.
+    """
+    import mitsuba as mi
+
+    pixel, sample, centre = lanes(view, pixels, spp)
+    sampler = lane_sampler(pixel, sample, seed)
+    offset, weight = PixelFilter.of(view).sample(sampler.next_2d())
+    ray, importance = camera_ray(view, centre + mi.Vector2f(offset), sampler.next_2d())
+    twist = [mi.Float(0.0) for _ in range(6)]
+    dr.enable_grad(twist[axis])
+    moved = move_ray(ray, _attached_transform(view.pose, twist))
+    value = weight * importance * radiance(view, sampler, moved)
+    dr.forward_from(twist[axis])
+    return _per_path(dr.grad(value), spp), _per_path(dr.detach(value), spp)
+
+
+def _per_path(color: mi.Color3f, spp: int) -> NDArray[np.float64]:
+    return np.array(color, dtype=np.float64).T.reshape(-1, spp, 3)
+
+
+def _attached_transform(pose: NDArray[np.float64], twist: list[mi.Float]) -> mi.Transform4f:
+    """world_from_camera·(1 + ξ^), which has the value and the derivative of exp at ξ = 0."""
+    import mitsuba as mi
+
+    x, y, z, a, b, c = twist
+    generator = mi.Matrix4f(1, -c, b, x, c, 1, -a, y, -b, a, 1, z, 0, 0, 0, 1)
+    base = mi.Matrix4f(pose.astype(np.float32))
+    dr.make_opaque(base)
+    return mi.Transform4f(base @ generator)

@@ -1,0 +1,274 @@
+"""The measurement: what each pixel's filter integrates, sampled one lane per pixel and batch.
+
+    I_u = ∫ h(v − c_u) L(v) dv,   h normalised to ∫h = 1,   L = radiance along the camera ray of film point v.
+
+Each pixel draws its own offsets v − c_u from a density close to |h| and weighs by h/density, so there is no
+splatting, no weight normalisation and no cut at the film's border; its samples are summed in a fixed order
+inside the kernel, so equal calls give equal bits. Random numbers belong to (seed, purpose, pixel, batch),
+whatever tile or subset the pixel is rendered in. Source: design section 4; Pharr et al., PBRT 4e, 8.8.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+    from ..scene import View
+
+PILOT = 0x50494C4F
+"""Purpose of the random numbers of pilot renders; Jacobians use 0."""
+
+
+@functools.cache
+def _sampler_class() -> Any:
+    """The sampler that gives every lane its own stream; made late, because `mi` needs a variant."""
+    import mitsuba as mi
+
+    class PixelSampler(mi.Sampler):
+        """Independent random numbers from one PCG32 stream per lane."""
+
+        def __init__(self, rng: mi.PCG32) -> None:
+            super().__init__(mi.Properties())
+            self.rng = rng
+
+        def next_1d(self, active: mi.Bool = True) -> mi.Float:
+            return self.rng.next_float32()
+
+        def next_2d(self, active: mi.Bool = True) -> mi.Point2f:
+            x = self.rng.next_float32()
+            return mi.Point2f(x, self.rng.next_float32())
+
+        def clone(self) -> PixelSampler:
+            return PixelSampler(mi.PCG32(self.rng))
+
+    return PixelSampler
+
+
+def lane_sampler(pixel: mi.UInt32, batch: mi.UInt32, seed: int, purpose: int = 0) -> mi.Sampler:
+    """A sampler whose lane streams depend on (pixel, batch, seed, purpose) and on nothing else.
+
+    Args:
+        pixel: index of the lane's pixel in the whole image.
+        batch: the lane's batch.
+        seed, purpose: 32-bit numbers, opaque to the kernel.
+    """
+    import mitsuba as mi
+
+    key = dr.opaque(mi.UInt32, (seed ^ purpose) & 0xFFFFFFFF)
+    salt = dr.opaque(mi.UInt32, (purpose + 0x9E3779B9 * ((seed >> 32) + 1)) & 0xFFFFFFFF)
+    state = mi.sample_tea_64(pixel, key)
+    stream = mi.sample_tea_64(batch ^ salt, pixel)
+    return _sampler_class()(mi.PCG32(dr.width(pixel), state, stream))
+
+
+@dataclass(frozen=True)
+class OffsetTable:
+    """Draws x from a tabulated density on [−radius, radius] by its inverse distribution function."""
+
+    nodes: mi.Float
+    """Quantiles x_0 < … < x_N at u = 0, 1/N, …, 1 [pixel]."""
+    count: int
+    """N."""
+
+    @staticmethod
+    def of(density: NDArray[np.float64], radius: float, count: int = 1024) -> OffsetTable:
+        """From samples of an unnormalised non-negative density on a uniform grid over [−radius, radius]."""
+        import mitsuba as mi
+
+        grid = np.linspace(-radius, radius, density.size)
+        # A floor keeps the density positive wherever the filter is, so that h/density stays bounded.
+        density = np.maximum(density, 1e-3 * density.max())
+        mass = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
+        nodes = np.interp(np.linspace(0.0, 1.0, count + 1), mass / mass[-1], grid)
+        return OffsetTable(mi.Float(nodes.astype(np.float32)), count)
+
+    def sample(self, u: mi.Float) -> tuple[mi.Float, mi.Float]:
+        """Offset x [pixel] and its density [1/pixel]."""
+        import mitsuba as mi
+
+        scaled = u * self.count
+        cell = dr.minimum(mi.UInt32(scaled), self.count - 1)
+        low = dr.gather(mi.Float, self.nodes, cell)
+        width = dr.gather(mi.Float, self.nodes, cell + 1) - low
+        return dr.fma(scaled - mi.Float(cell), width, low), dr.rcp(width * self.count)
+
+
+@dataclass(frozen=True)
+class PixelFilter:
+    """The film's separable reconstruction filter h(x) h(y), normalised, and how to draw from |h|."""
+
+    rfilter: mi.ReconstructionFilter
+    radius: float
+    """Half width [pixel]."""
+    norm: float
+    """∫ of Mitsuba's unnormalised one-dimensional filter."""
+    table: OffsetTable
+
+    @staticmethod
+    def of(view: View) -> PixelFilter:
+        """The filter of the view's film."""
+        import mitsuba as mi
+
+        rfilter = view.sensor.film().rfilter()
+        radius = float(rfilter.radius())
+        # Midpoints: a filter's value exactly on its border (box) is a matter of convention.
+        edges = np.linspace(-radius, radius, 8193)
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        values = np.array(rfilter.eval(mi.Float(middle.astype(np.float32))), dtype=np.float64)
+        norm = float(values.sum() * (edges[1] - edges[0]))
+        density = np.abs(np.interp(edges, middle, values))
+        return PixelFilter(rfilter, radius, norm, OffsetTable.of(density, radius))
+
+    def eval(self, x: mi.Float) -> mi.Float:
+        """h(x) [1/pixel] in one dimension."""
+        return self.rfilter.eval(x) / self.norm
+
+    def sample(self, u: mi.Point2f) -> tuple[mi.Point2f, mi.Float]:
+        """Offset from the pixel's centre [pixel] and its weight h/density, of mean one."""
+        import mitsuba as mi
+
+        x, density_x = self.table.sample(u.x)
+        y, density_y = self.table.sample(u.y)
+        return mi.Point2f(x, y), self.eval(x) * self.eval(y) / (density_x * density_y)
+
+
+def radiance(view: View, sampler: mi.Sampler, ray: mi.Ray3f, active: mi.Bool | bool = True) -> mi.Color3f:
+    """L along a ray, by the view's integrator, C++ (`sample`) or Python (`sample` with its AD arguments)."""
+    import mitsuba as mi
+    from mitsuba.python.ad.integrators.common import ADIntegrator
+
+    integrator = view.integrator
+    active = mi.Bool(active)
+    if isinstance(integrator, ADIntegrator):
+        result = integrator.sample(
+            mode=dr.ADMode.Primal,
+            scene=view.scene,
+            sampler=sampler,
+            ray=ray,
+            depth=mi.UInt32(0),
+            δL=None,
+            δaovs=None,
+            state_in=None,
+            active=active,
+        )
+    else:
+        result = integrator.sample(view.scene, sampler, ray, view.sensor.get_medium(), active)
+    return mi.Color3f(result[0])
+
+
+def camera_ray(view: View, film: mi.Point2f, aperture: mi.Point2f) -> tuple[mi.Ray3f, mi.Color3f]:
+    """Ray in the camera frame through a film point [pixel], and the sensor's weight."""
+    import mitsuba as mi
+
+    width, height = view.size
+    position = mi.Point2f(film.x / width, film.y / height)
+    ray, weight = view.sensor.sample_ray(0.0, 0.5, position, aperture)
+    return ray, mi.Color3f(weight)
+
+
+def move_ray(ray: mi.Ray3f, transform: mi.Transform4f) -> mi.Ray3f:
+    """The ray in the world, its interval kept."""
+    import mitsuba as mi
+
+    # Point3f + Vector3f may come back as a vector, whose translation a transform would drop.
+    return mi.Ray3f(
+        transform @ mi.Point3f(ray.o), transform @ mi.Vector3f(ray.d), ray.maxt, ray.time, ray.wavelengths
+    )
+
+
+def opaque_transform(matrix: NDArray[np.float64]) -> mi.Transform4f:
+    """A 4x4 rigid motion as kernel input, so that a new pose needs no new kernel."""
+    import mitsuba as mi
+
+    transform = mi.Transform4f(mi.Matrix4f(matrix.astype(np.float32)))
+    dr.make_opaque(transform)
+    return transform
+
+
+def lanes(view: View, pixels: NDArray[np.int64], batches: int) -> tuple[mi.UInt32, mi.UInt32, mi.Point2f]:
+    """Pixel index, batch and pixel centre [pixel] of each lane; the batch runs fastest."""
+    import mitsuba as mi
+
+    index = pixels[:, 1] * view.size[0] + pixels[:, 0]
+    pixel = mi.UInt32(np.repeat(index, batches).astype(np.uint32))
+    batch = mi.UInt32(np.tile(np.arange(batches), len(pixels)).astype(np.uint32))
+    width = dr.opaque(mi.UInt32, view.size[0])
+    row = pixel // width
+    return pixel, batch, mi.Point2f(mi.Float(pixel - row * width) + 0.5, mi.Float(row) + 0.5)
+
+
+def render_pixels(
+    view: View,
+    pixels: NDArray[np.int64],
+    *,
+    spp: int,
+    seed: int,
+    batches: int = 1,
+    pose: NDArray[np.float64] | None = None,
+    purpose: int = 0,
+) -> NDArray[np.float64]:
+    """Estimate I_u at some pixels.
+
+    Args:
+        pixels: (n, 2) columns and rows.
+        spp: paths per pixel and batch.
+        pose: `world_from_camera`; the view's own if None.
+
+    Returns:
+        (batches, n, 3) float64, linear RGB radiance.
+    """
+    import mitsuba as mi
+
+    pixel, batch, centre = lanes(view, pixels, batches)
+    transform = opaque_transform(view.pose if pose is None else pose)
+    total = sum_samples(
+        view,
+        PixelFilter.of(view),
+        lane_sampler(pixel, batch, seed, purpose),
+        centre,
+        transform,
+        dr.opaque(mi.UInt32, spp),
+    )
+    return np.array(total / spp, dtype=np.float64).T.reshape(len(pixels), batches, 3).transpose(1, 0, 2)
+
+
+@dr.syntax
+def sum_samples(
+    view: View,
+    pixel_filter: PixelFilter,
+    sampler: mi.Sampler,
+    centre: mi.Point2f,
+    transform: mi.Transform4f,
+    spp: mi.UInt32,
+) -> mi.Color3f:
+    """Sum of weighted radiance over each lane's samples; equal kernels for all tiles, seeds and poses."""
+    import mitsuba as mi
+
+    total = mi.Color3f(0.0)
+    i = mi.UInt32(0)
+    while dr.hint(i < spp, exclude=[view, pixel_filter], label="pixel samples"):
+        offset, weight = pixel_filter.sample(sampler.next_2d())
+        aperture = sampler.next_2d()
+        ray, importance = camera_ray(view, centre + mi.Vector2f(offset), aperture)
+        total += weight * importance * radiance(view, sampler, move_ray(ray, transform))
+        i += 1
+    return total
+
+
+def first_hits(view: View, pixels: NDArray[np.int64]) -> tuple[mi.SurfaceInteraction3f, NDArray[np.float64]]:
+    """First surface through each pixel's centre, and its depth along the optical axis [scene unit]."""
+    import mitsuba as mi
+
+    _, _, centre = lanes(view, pixels, 1)
+    ray, _ = camera_ray(view, centre, mi.Point2f(0.5, 0.5))
+    hit = view.scene.ray_intersect(move_ray(ray, opaque_transform(view.pose)))
+    depth = dr.select(hit.is_valid(), ray.o.z + hit.t * ray.d.z, dr.inf)
+    return hit, np.array(depth, dtype=np.float64)

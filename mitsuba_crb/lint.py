@@ -1,0 +1,141 @@
+"""What in a view could spoil a number: discontinuities that `forward` cannot see, and float32.
+
+A finding is about what this camera sees: rays through a coarse grid of pixels find the surfaces, their
+textures, the depth jumps between neighbours and the partly blocked lights. A method that differentiates
+radiance at fixed film points is blind to all four.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from .jacobian import finite_difference
+from .jacobian.pixels import first_hits
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+    from .scene import View
+
+_GRID = 64
+_LIGHT_SAMPLES = 8
+
+
+def precision_findings(view: View, length_scale: float) -> list[str]:
+    """Where float32 positions at the camera are too coarse for the derivative.
+
+    Renders are float32: at a distance |c| from the origin, positions are multiples of their spacing there. A
+    finding is raised when that exceeds 1 % of the finite-difference step.
+    """
+    distance = float(np.abs(view.pose[:3, 3]).max())
+    spacing = float(np.spacing(np.float32(distance)))
+    step = float(finite_difference.steps(view, length_scale)[:3].min())
+    if spacing <= 0.01 * step:
+        return []
+    return [
+        f"the camera stands {distance:.3g} scene units from the origin, where float32 positions are "
+        f"{spacing:.2g} apart, more than 1 % of the finite-difference step {step:.2g}: move scene and "
+        "camera nearer to the origin"
+    ]
+
+
+def discontinuities(view: View) -> list[str]:
+    """Names of what jumps in this view: textures, silhouettes, shadows, each as a phrase."""
+    columns, rows = (np.unique(np.linspace(0, n - 1, min(n, _GRID)).astype(np.int64)) for n in view.size)
+    grid = np.stack(np.meshgrid(columns, rows), axis=-1)
+    hit, depth = first_hits(view, grid.reshape(-1, 2))
+    found = _textures(view.scene)
+    if _has_silhouettes(hit, depth, (len(rows), len(columns))):
+        found.append("silhouettes (depth jumps between neighbouring pixels)")
+    if _has_shadows(view.scene, hit):
+        found.append("shadows (lights that are blocked from part of what is visible)")
+    return found
+
+
+def _textures(scene: mi.Scene) -> list[str]:
+    import mitsuba as mi
+
+    nodes: dict[int, Any] = {}
+    for key in mi.traverse(scene).properties.values():
+        node = key[2]
+        nodes[id(node)] = node
+    found = []
+    for node in nodes.values():
+        name = node.class_name()
+        if name == "Checkerboard":
+            found.append("a checkerboard texture")
+        elif name.startswith("BitmapTexture") and _is_nearest(node):
+            found.append("a bitmap with filter_type=nearest")
+    return sorted(set(found))
+
+
+def _is_nearest(texture: mi.Texture) -> bool:
+    """Whether a bitmap is constant within each texel while its texels differ."""
+    import mitsuba as mi
+
+    width, height = texture.resolution()
+    if width * height < 2:
+        return False
+    rng = np.random.default_rng(0)
+    texel = np.stack([rng.integers(0, width, 256), rng.integers(0, height, 256)])
+
+    def value(inside: float) -> NDArray[np.float64]:
+        uv = (texel + inside) / np.array([[width], [height]])
+        si = dr.zeros(mi.SurfaceInteraction3f, 256)
+        si.uv = mi.Point2f(uv[0].astype(np.float32), uv[1].astype(np.float32))
+        return np.array(texture.eval(si), dtype=np.float64)
+
+    # A texture's own uv transform moves both points alike: a nearest bitmap then still gives equal pairs but
+    # for the few that a texel border separates.
+    low, high = value(0.45), value(0.55)
+    same = np.all(np.abs(low - high) <= 1e-6, axis=0)
+    return bool(same.mean() > 0.7 and np.ptp(low) > 1e-6)
+
+
+def _has_silhouettes(
+    hit: mi.SurfaceInteraction3f, depth: NDArray[np.float64], shape: tuple[int, int]
+) -> bool:
+    """Whether a hit lies off the tangent planes of its neighbours by more than their spacing explains."""
+    points = np.array(hit.p, dtype=np.float64).T.reshape(*shape, 3)
+    normals = np.array(hit.n, dtype=np.float64).T.reshape(*shape, 3)
+    finite = np.isfinite(depth).reshape(shape)
+    if finite.any() and not finite.all():
+        return True
+    if not finite.any():
+        return False
+    for axis in (0, 1):
+        a, b = (np.take(points, range(k, shape[axis] - 1 + k), axis) for k in (0, 1))
+        na, nb = (np.take(normals, range(k, shape[axis] - 1 + k), axis) for k in (0, 1))
+        step = b - a
+        length = np.linalg.norm(step, axis=-1)
+        off_a = np.abs(np.sum(step * na, axis=-1))
+        off_b = np.abs(np.sum(step * nb, axis=-1))
+        # A convex or concave edge leaves one of the two offsets small only where its faces meet; across a
+        # depth jump both neighbours' planes are missed by much of the step.
+        if np.any(np.minimum(off_a, off_b) > 0.5 * length):
+            return True
+    return False
+
+
+def _has_shadows(scene: mi.Scene, hit: mi.SurfaceInteraction3f) -> bool:
+    """Whether a light that faces the visible surfaces reaches only some of them."""
+    import mitsuba as mi
+
+    if not scene.emitters():
+        return False
+    rng = mi.PCG32(dr.width(hit.t))
+    blocked = np.zeros(dr.width(hit.t), dtype=int)
+    lit = np.zeros_like(blocked)
+    for _ in range(_LIGHT_SAMPLES):
+        sample = mi.Point2f(rng.next_float32(), rng.next_float32())
+        ds, weight = scene.sample_emitter_direction(hit, sample, False, hit.is_valid())
+        facing = hit.is_valid() & (dr.dot(ds.d, hit.n) * dr.dot(hit.wi, mi.Vector3f(0, 0, 1)) > 0.05)
+        facing &= dr.max(weight) > 0
+        occluded = scene.ray_test(hit.spawn_ray_to(ds.p), facing)
+        blocked += np.array(facing & occluded)
+        lit += np.array(facing & ~occluded)
+    return bool(blocked.any() and lit.any())

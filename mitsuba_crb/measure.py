@@ -1,0 +1,463 @@
+"""From a scene to its Jacobian and its bound: choose pixels, stream tiles, assemble.
+
+Pixels are visited tile by tile; each tile yields an `ImageJacobian` of its own, which `pose_bound` folds into
+the Fisher information and forgets, so that its memory does not grow with the image. Everything decided before
+the Jacobian (length scale, white, gradient-rich pixels) comes from pilot renders with random numbers of their
+own, the same for all batches: batches that lent each other anything would bias the information (design 4.1).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import importlib.metadata
+import os
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import lint, llvm
+from .bound import PoseBound, cramer_rao_bound
+from .errors import BlindSpotWarning, NoiseError, OptionError, PixelsError, PrecisionWarning, RadianceError
+from .information import BLOCK, ImageJacobian, InformationAccumulator, PixelSelection
+from .noise import Gaussian, NoiseModel
+from .scene import View, open_view
+
+DEFAULT_METHOD = "finite_difference"
+RELATIVE_SIGMA = 0.01
+"""Standard deviation of the default noise, as a fraction of the image's white."""
+
+_PILOT_GRID = 96
+_PILOT_SPP = 16
+
+Progress = Callable[["TileJacobian", int, int], None]
+"""Called after each tile with its Jacobian, the pixels done and the pixels in total."""
+
+
+def pose_jacobian(
+    scene: Any,
+    *,
+    sensor: int | str = 0,
+    pose: Any = None,
+    method: str = DEFAULT_METHOD,
+    spp: int = 64,
+    seed: int = 0,
+    batches: int = 4,
+    pixels: Any = None,
+    integrator: Any = None,
+    size: tuple[int, int] | None = None,
+    tile: int = 128,
+    drop_invalid: bool = False,
+    on_tile: Progress | None = None,
+) -> ImageJacobian:
+    """The Jacobian dI/dξ of every selected pixel, in the camera frame.
+
+    Args:
+        scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
+        sensor: index or id.
+        pose: `world_from_camera`, 4x4 or `RigidTransform`, in place of the sensor's own.
+        method: "finite_difference" or "forward".
+        spp: paths per pixel over all batches; a multiple of `batches`. Finite differences trace 12 times
+            that, "forward" 6 times.
+        seed: of all random numbers; equal calls give equal bits.
+        batches: independent estimates, at least 4.
+        pixels: None, "random:f", "gradient:f", a boolean mask (H, W), or the path of a mask image.
+        integrator: in place of the scene's: an `mi.Integrator`, a plugin's name or a dictionary.
+        size: width and height [pixel] in place of the film's.
+        tile: side of the tiles [pixel], a multiple of 16; bounds the memory, not the result.
+        drop_invalid: leave out pixels whose radiance is not finite instead of raising.
+        on_tile: called after each tile.
+
+    Returns:
+        `ImageJacobian` in the camera frame; translation columns [radiance / scene unit], rotation columns
+        [radiance / rad].
+
+    Raises:
+        MitsubaCRBError: one of its subclasses, in one line, with the cure.
+
+    References:
+        Muthukkumar 2025, section 3; design section 4.
+    """
+    with _measurement(
+        scene,
+        sensor=sensor,
+        pose=pose,
+        integrator=integrator,
+        size=size,
+        method=method,
+        spp=spp,
+        seed=seed,
+        batches=batches,
+        tile=tile,
+    ) as run:
+        mask = run.select(pixels)
+        run.warn_of_limits()
+        image = np.full((*mask.shape, 3), np.nan)
+        parts = list(run.tiles(mask, drop_invalid, on_tile))
+        for part in parts:
+            image[part.pixels[:, 1], part.pixels[:, 0]] = part.mean
+        return ImageJacobian(
+            batch_values=np.concatenate([part.batch_values for part in parts], axis=1),
+            pixels=np.concatenate([part.pixels for part in parts]),
+            image=image,
+            frame="camera",
+            pose=run.view.pose,
+            selection=run.selection,
+            length_scale=run.length_scale,
+            variable=run.view.variable,
+            provenance=run.provenance(),
+        )
+
+
+def pose_bound(
+    scene: Any,
+    noise: NoiseModel | None = None,
+    *,
+    sensor: int | str = 0,
+    pose: Any = None,
+    method: str = DEFAULT_METHOD,
+    spp: int = 64,
+    seed: int = 0,
+    batches: int = 4,
+    pixels: Any = None,
+    integrator: Any = None,
+    size: tuple[int, int] | None = None,
+    tile: int = 128,
+    drop_invalid: bool = False,
+    on_tile: Progress | None = None,
+    prior: Any = None,
+) -> PoseBound:
+    """The Cramér–Rao bound on the camera's pose: streams tile by tile and never holds the Jacobian.
+
+    Args:
+        noise: noise model of the measured image; None is Gaussian with 0.01 of the image's white, the 99th
+            percentile of a pilot render.
+        prior: information known beforehand, see `cramer_rao_bound`.
+        Others as `pose_jacobian`.
+
+    Returns:
+        `PoseBound`, matrices in the camera frame; `.provenance` says how it was made.
+
+    Raises:
+        NoiseError: the image is black and no noise was given.
+        MitsubaCRBError: as `pose_jacobian`.
+    """
+    start = time.perf_counter()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        with _measurement(
+            scene,
+            sensor=sensor,
+            pose=pose,
+            integrator=integrator,
+            size=size,
+            method=method,
+            spp=spp,
+            seed=seed,
+            batches=batches,
+            tile=tile,
+        ) as run:
+            mask = run.select(pixels)
+            model, origin = run.noise(noise)
+            run.warn_of_limits()
+            prepared = time.perf_counter()
+            accumulator = InformationAccumulator(batches=batches)
+            for part in run.tiles(mask, drop_invalid, on_tile):
+                accumulator.add(part.batch_values, model.weights(part.pixels, part.mean), part.pixels)
+            information = accumulator.information(
+                frame="camera",
+                variable=run.view.variable,
+                pose=run.view.pose,
+                length_scale=run.length_scale,
+                selection=run.selection,
+            )
+        rendered = time.perf_counter()
+        bound = cramer_rao_bound(information, prior=prior)
+    for warning in caught:
+        warnings.warn(warning.message, warning.category, stacklevel=2)
+    provenance = {
+        **run.provenance(),
+        "noise": {**model.to_dict(), "origin": origin},
+        "noise_inflation": information.noise_inflation,
+        "warnings": list(dict.fromkeys(str(warning.message) for warning in caught)),
+        "seconds": {
+            "prepare": prepared - start,
+            "render": rendered - prepared,
+            "total": time.perf_counter() - start,
+        },
+    }
+    return dataclasses.replace(bound, provenance=provenance)
+
+
+@dataclasses.dataclass(frozen=True)
+class TileJacobian:
+    """What one tile contributes, before it is folded into the information."""
+
+    batch_values: NDArray[np.float64]
+    """(K, n, 3, 6) estimates of dI/dξ in the camera frame."""
+    pixels: NDArray[np.int64]
+    """(n, 2) columns and rows."""
+    mean: NDArray[np.float64]
+    """(n, 3) the image there [radiance]."""
+
+
+@dataclasses.dataclass
+class _Measurement:
+    """An opened view, its checked options and what the pilot renders said of it."""
+
+    view: View
+    method: str
+    spp: int
+    seed: int
+    batches: int
+    tile: int
+    length_scale: float
+    pilot: NDArray[np.float64]
+    """(n, 3) radiance on a coarse grid of pixels."""
+    selection: PixelSelection
+
+    def provenance(self) -> dict[str, Any]:
+        """How the numbers were made, JSON-able."""
+        integrator = self.view.integrator
+        python = type(integrator).__module__.startswith("mitsuba.python")
+        return {
+            "scene": self.view.label,
+            "sensor": self.view.variable,
+            "method": self.method,
+            "spp": self.spp,
+            "seed": self.seed,
+            "batches": self.batches,
+            "size": list(self.view.size),
+            "pixels": dataclasses.asdict(self.selection),
+            "integrator": type(integrator).__name__ if python else integrator.class_name(),
+            "versions": versions(),
+        }
+
+    def select(self, pixels: Any) -> NDArray[np.bool_]:
+        """The pixels to measure as a mask (H, W); sets `selection`."""
+        width, height = self.view.size
+        total = width * height
+        mask = np.ones((height, width), dtype=bool)
+        if pixels is None or (isinstance(pixels, str) and pixels == "all"):
+            return mask
+        kind, description = "only", "mask"
+        if isinstance(pixels, str) and pixels.split(":")[0] in ("random", "gradient"):
+            rule, count = _parse_fraction(pixels, total)
+            if rule == "random":
+                kind = "random"
+                ranking = np.random.default_rng(self.seed).permutation(total)
+            else:
+                ranking = np.argsort(-self._squared_gradient().ravel(), kind="stable")
+            mask = np.zeros(total, dtype=bool)
+            mask[ranking[:count]] = True
+            mask, description = mask.reshape(height, width), pixels
+        else:
+            mask, description = _read_mask(pixels, (height, width))
+        self.selection = PixelSelection(
+            "random" if kind == "random" else "only", total, int(mask.sum()), description
+        )
+        return mask
+
+    def _squared_gradient(self) -> NDArray[np.float64]:
+        from .jacobian import pixels as px
+
+        width, height = self.view.size
+        image = np.empty((height, width, 3))
+        for part in _tiles(np.ones((height, width), dtype=bool), self.tile):
+            render = px.render_pixels(self.view, part, spp=_PILOT_SPP, seed=self.seed, purpose=px.PILOT)
+            image[part[:, 1], part[:, 0]] = render[0]
+        padded = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="edge")
+        along_x = padded[1:-1, 2:] - padded[1:-1, :-2]
+        along_y = padded[2:, 1:-1] - padded[:-2, 1:-1]
+        return np.asarray(np.sum(along_x**2 + along_y**2, axis=2))
+
+    def noise(self, model: NoiseModel | None) -> tuple[NoiseModel, str]:
+        """The noise model and where it came from."""
+        if model is not None:
+            return model, "given"
+        finite = self.pilot[np.isfinite(self.pilot)]
+        white = float(np.percentile(finite, 99.0)) if finite.size else 0.0
+        if not white > 0.0:
+            raise NoiseError(
+                "the image is black, so no default noise follows from it: give --sigma X (noise.Gaussian(X))"
+            )
+        return Gaussian(RELATIVE_SIGMA * white), (
+            f"{RELATIVE_SIGMA:g} of the image's white {white:.3g}, the 99th percentile of a pilot render"
+        )
+
+    def warn_of_limits(self) -> None:
+        """Warn of float32, and by name of what the method cannot see here."""
+        for text in lint.precision_findings(self.view, self.length_scale):
+            warnings.warn(text, PrecisionWarning, stacklevel=4)
+        if self.method == "forward":
+            for finding in lint.discontinuities(self.view):
+                warnings.warn(
+                    f"method 'forward' cannot see {finding}: its information is too small and its bound no "
+                    "bound; use finite_difference",
+                    BlindSpotWarning,
+                    stacklevel=4,
+                )
+
+    def tiles(
+        self, mask: NDArray[np.bool_], drop_invalid: bool, on_tile: Progress | None
+    ) -> Iterator[TileJacobian]:
+        """The Jacobian, one tile after the other."""
+        jacobian = _METHODS[self.method]()
+        done, total, invalid = 0, int(mask.sum()), 0
+        for part in _tiles(mask, self.tile):
+            values, primal = jacobian(
+                self.view,
+                part,
+                spp=self.spp,
+                seed=self.seed,
+                batches=self.batches,
+                length_scale=self.length_scale,
+            )
+            done += len(part)
+            good = np.isfinite(values).all(axis=(0, 2, 3)) & np.isfinite(primal).all(axis=1)
+            invalid += int((~good).sum())
+            tile = TileJacobian(values[:, good], part[good], primal[good])
+            if on_tile is not None:
+                on_tile(tile, done, total)
+            if drop_invalid or not invalid:
+                yield tile
+        if invalid and not (drop_invalid and invalid < total):
+            raise RadianceError(
+                f"{invalid} of {total} pixels have radiance that is NaN or infinite; mend the scene or leave "
+                "them out with --drop-invalid (drop_invalid=True)"
+            )
+
+
+@contextlib.contextmanager
+def _measurement(
+    scene: Any,
+    *,
+    sensor: int | str,
+    pose: Any,
+    integrator: Any,
+    size: tuple[int, int] | None,
+    method: str,
+    spp: int,
+    seed: int,
+    batches: int,
+    tile: int,
+) -> Iterator[_Measurement]:
+    _check_options(method, spp, seed, batches, tile)
+    with open_view(scene, sensor=sensor, pose=pose, integrator=integrator, size=size) as view:
+        from .jacobian import pixels as px
+
+        grid = _pilot_grid(view.size)
+        _, depth = px.first_hits(view, grid)
+        visible = depth[np.isfinite(depth) & (depth > 0)]
+        yield _Measurement(
+            view=view,
+            method=method,
+            spp=spp,
+            seed=seed,
+            batches=batches,
+            tile=tile,
+            length_scale=float(np.median(visible)) if visible.size else 1.0,
+            pilot=px.render_pixels(view, grid, spp=_PILOT_SPP, seed=seed, purpose=px.PILOT)[0],
+            selection=PixelSelection("all", total := view.size[0] * view.size[1], total, "all"),
+        )
+
+
+def _finite_difference() -> Any:
+    from .jacobian import finite_difference
+
+    return finite_difference.jacobian
+
+
+def _forward() -> Any:
+    from .jacobian import forward
+
+    return forward.jacobian
+
+
+_METHODS = {"finite_difference": _finite_difference, "forward": _forward}
+
+
+def _check_options(method: str, spp: int, seed: int, batches: int, tile: int) -> None:
+    if method not in _METHODS:
+        raise OptionError(f"unknown method {method!r}; methods: {', '.join(_METHODS)}")
+    for name, value in (("spp", spp), ("seed", seed), ("batches", batches), ("tile", tile)):
+        if isinstance(value, bool) or not isinstance(value, int | np.integer):
+            raise OptionError(f"{name} must be a whole number; got {value!r}")
+    if batches < 4:
+        raise OptionError(f"batches must be at least 4, for standard errors without bias; got {batches}")
+    if spp <= 0:
+        raise OptionError(f"spp must be positive; got {spp}")
+    if spp % batches:
+        nearest = max(batches, round(spp / batches) * batches)
+        raise OptionError(f"spp {spp} is not a multiple of batches {batches}; the nearest is {nearest}")
+    if not 0 <= seed < 1 << 64:
+        raise OptionError(f"seed must lie in [0, 2^64); got {seed}")
+    if tile <= 0 or tile % BLOCK:
+        raise OptionError(f"tile must be a positive multiple of {BLOCK} pixels; got {tile}")
+
+
+def _parse_fraction(text: str, total: int) -> tuple[str, int]:
+    rule, _, number = text.partition(":")
+    try:
+        fraction = float(number)
+    except ValueError:
+        fraction = np.nan
+    if not 0.0 < fraction <= 1.0:
+        raise PixelsError(f"{text!r}: the fraction must lie in (0, 1], for example {rule}:0.1")
+    return rule, max(1, round(fraction * total))
+
+
+def _read_mask(pixels: Any, shape: tuple[int, int]) -> tuple[NDArray[np.bool_], str]:
+    description = "mask"
+    if isinstance(pixels, str | os.PathLike):
+        path = Path(pixels)
+        description = path.name
+        if not path.is_file():
+            raise PixelsError(
+                f"pixels {str(pixels)!r} is neither random:f, gradient:f nor the path of a mask image"
+            )
+        from PIL import Image, UnidentifiedImageError
+
+        try:
+            with Image.open(path) as picture:
+                pixels = np.asarray(picture.convert("L")) > 127
+        except UnidentifiedImageError as error:
+            raise PixelsError(f"{path} is no image; a mask is a PNG, white where measured") from error
+    mask = np.asarray(pixels)
+    if mask.dtype != bool:
+        raise PixelsError(f"a mask is a boolean array; got {mask.dtype}")
+    if mask.shape != shape:
+        raise PixelsError(
+            f"the mask is {' x '.join(map(str, mask.shape[::-1]))}, the image {shape[1]} x {shape[0]} "
+            "(width x height)"
+        )
+    if not mask.any():
+        raise PixelsError("the mask is empty: no pixel is white")
+    return mask, description
+
+
+def _tiles(mask: NDArray[np.bool_], tile: int) -> Iterator[NDArray[np.int64]]:
+    """The selected pixels (n, 2) of each tile that has any."""
+    height, width = mask.shape
+    for top in range(0, height, tile):
+        for left in range(0, width, tile):
+            rows, columns = np.nonzero(mask[top : top + tile, left : left + tile])
+            if rows.size:
+                yield np.stack([columns + left, rows + top], axis=1).astype(np.int64)
+
+
+def _pilot_grid(size: tuple[int, int]) -> NDArray[np.int64]:
+    columns, rows = (np.unique(np.linspace(0, n - 1, min(n, _PILOT_GRID)).astype(np.int64)) for n in size)
+    return np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything that the numbers depend on."""
+    packages = ("mitsuba_crb", "mitsuba", "drjit", "numpy", "scipy")
+    found = {name: importlib.metadata.version(name) for name in packages}
+    return {**found, "llvm": llvm.configure().version}
