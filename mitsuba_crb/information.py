@@ -1,0 +1,483 @@
+"""Fisher information of a pose from independent estimates of the image's Jacobian, without noise bias.
+
+For K independent, unbiased estimates J_1 .. J_K of the Jacobian J and a noise precision W = Σ⁻¹,
+
+    F̂ = [ (Σ J_k)ᵀ W (Σ J_k) − Σ J_kᵀ W J_k ] / (K (K − 1))  =  mean over k < l of  sym(J_kᵀ W J_l)
+
+is unbiased for F = JᵀWJ, where the plain ĴᵀWĴ of the mean Ĵ is too large by E[δJᵀ W δJ]. It is symmetric, but
+positive semi-definite only in expectation. Its covariance comes from disjoint pairs of batches. With
+h_kl = sym(J_kᵀ W J_l) of one block of pixels as a vector of 21 numbers, d_kl = h_kl − F̂ and s_k = Σ_l d_kl,
+
+    Cov[F̂] ≈ [ 4 Σ_k s_k s_kᵀ − 4 Σ_{k<l} d_kl d_klᵀ ] / ( K (K−1) (K−2) (K−3) )
+
+equals F̂F̂ᵀ − mean over disjoint pairs of h_kl h_pqᵀ, and so is unbiased; this form has no cancellation. It is
+summed over blocks of pixels, whose errors are independent. Conventions: `se3`.
+
+References: Hoeffding, "A class of statistics with asymptotically normal distribution", 1948 (U-statistics);
+Cochran, "Sampling Techniques", 3rd ed., chapter 2 (simple random sampling without replacement).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from dataclasses import replace as dataclass_replace
+from itertools import combinations, pairwise
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import se3
+from .errors import FrameError, NoiseError, OptionError, PixelsError, RadianceError
+from .noise import NoiseModel
+from .se3 import Array, Frame
+
+BLOCK = 16
+"""Side [pixels] of the film blocks, on a fixed grid (x // 16, y // 16), whose errors are independent."""
+
+MINIMUM_BATCHES = 4
+"""Two disjoint pairs of batches are needed to estimate the variance without bias."""
+
+_TRIU = np.triu_indices(6)
+_CHUNK = 4096  # pixels whose 6K x 6K products are held at once; bounds the memory of `_add_pixels`
+
+
+@dataclass(frozen=True)
+class PixelSelection:
+    """Which pixels were measured, and what that means for the information."""
+
+    kind: Literal["all", "random", "only"]
+    """`"random"` estimates the whole image's information; `"only"`: the estimator sees just those pixels."""
+    total: int
+    """Pixels of the whole image."""
+    selected: int
+    """Pixels chosen, including those dropped afterwards because they were invalid."""
+    description: str
+    """As the user gave it: `"all"`, `"random:0.1"`, `"gradient:0.1"`, `"mask.png"`."""
+
+
+@dataclass(frozen=True, eq=False)
+class ImageJacobian:
+    """Independent estimates of the derivative of an image with respect to the camera's twist."""
+
+    batch_values: Array
+    """(K, n, C, 6): K independent unbiased estimates of ∂I/∂ξ [radiance / scene unit], [radiance / rad]."""
+    pixels: NDArray[np.integer]
+    """(n, 2): column x and row y."""
+    image: Array
+    """(H, W, C) linear radiance; NaN where it was not measured."""
+    frame: Frame
+    """The twist's frame, `"camera"` or `"world"`."""
+    pose: Array
+    """world_from_camera, the linearisation point."""
+    selection: PixelSelection
+    """What the pixels stand for."""
+    length_scale: float
+    """Median visible depth [scene unit]; 1 if nothing finite is visible."""
+    variable: str
+    """The camera's name."""
+    provenance: dict[str, Any] = field(default_factory=dict)
+    """How it was computed, JSON-able."""
+
+    @property
+    def values(self) -> Array:
+        """(n, C, 6), the mean over the batches."""
+        return np.asarray(self.batch_values.mean(axis=0), dtype=np.float64)
+
+    @property
+    def mean(self) -> Array:
+        """(n, C), the image at the pixels [radiance]."""
+        x, y = self.pixels.T
+        return np.asarray(self.image[y, x], dtype=np.float64)
+
+    def to_frame(self, frame: Frame) -> ImageJacobian:
+        """The same derivative with respect to the twist in another frame: J_a = J_b A for ξ_b = A ξ_a."""
+        A = _old_from_new(self.frame, frame, self.pose)
+        return self if A is None else dataclass_replace(self, batch_values=self.batch_values @ A, frame=frame)
+
+
+@dataclass(frozen=True, eq=False)
+class FisherInformation:
+    """Fisher information of one pose, tagged with what it is about, and with its own uncertainty."""
+
+    matrix: Array
+    """(6, 6), F for ξ = (ρ, φ) in `frame`; an unbiased estimate, so possibly indefinite."""
+    covariance_of_entries: Array
+    """(21, 21), covariance of F's upper triangle in `numpy.triu_indices(6)` order."""
+    frame: Frame
+    """The twist's frame, `"camera"` or `"world"`."""
+    variable: str
+    """Which camera or body the pose belongs to."""
+    pose: Array
+    """world_from_camera, the linearisation point."""
+    length_scale: float
+    """Length [scene unit] that makes translation comparable with rotation."""
+    selection: PixelSelection
+    """Which pixels it is the information of."""
+    plain_matrix: Array | None = None
+    """(6, 6) ĴᵀWĴ, biased upwards by Monte Carlo noise, a diagnostic; None where it is not known."""
+    # The camera-frame matrix that this one was derived from: far from the origin the way back loses digits.
+    # Not an argument, so that `dataclasses.replace` cannot carry it over to other values.
+    _origin: FisherInformation | None = field(default=None, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.frame not in ("camera", "world"):
+            raise FrameError(f"unknown frame {self.frame!r}; expected 'camera' or 'world'")
+        if not (np.isfinite(self.length_scale) and self.length_scale > 0.0):
+            raise FrameError(f"the length scale must be positive and finite, not {self.length_scale}")
+        shapes = {"matrix": (6, 6), "covariance_of_entries": (21, 21), "pose": (4, 4), "plain_matrix": (6, 6)}
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if value is None:
+                continue
+            array = np.array(value, dtype=np.float64)
+            if array.shape != shape or not np.isfinite(array).all():
+                raise FrameError(f"{name} must be a finite array of shape {shape}, not {array.shape}")
+            if name != "pose":
+                array = _symmetrised(array)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @property
+    def standard_error(self) -> Array:
+        """(6, 6), the standard error of every entry of `matrix`."""
+        return unpack(np.sqrt(np.maximum(np.diagonal(self.covariance_of_entries), 0.0)))
+
+    @property
+    def scale(self) -> Array:
+        """(6,), camera-frame twist per twist in scaled units: the length scale three times, then ones."""
+        return np.array([self.length_scale] * 3 + [1.0] * 3)
+
+    @property
+    def noise_inflation(self) -> float | None:
+        """trace(plain) / trace(F) − 1 in scaled units, camera frame: what the plain estimate adds by noise.
+
+        None if the plain matrix is not known; infinite if the unbiased trace is not positive.
+        """
+        camera = self.to_frame("camera")
+        if camera.plain_matrix is None:
+            return None
+        squares = self.scale**2
+        plain = float(np.diagonal(camera.plain_matrix) @ squares)
+        unbiased = float(np.diagonal(camera.matrix) @ squares)
+        if unbiased > 0.0:
+            return plain / unbiased - 1.0
+        return np.inf if plain > 0.0 else 0.0
+
+    def to_frame(self, frame: Frame) -> FisherInformation:
+        """The same information for the twist in another frame.
+
+        Raises:
+            FrameError: `frame` is neither `"camera"` nor `"world"`.
+        """
+        A = _old_from_new(self.frame, frame, self.pose)
+        if A is None:
+            return self
+        if self._origin is not None:
+            return self._origin
+        moved = self.transform(A, variable=self.variable, frame=frame, pose=self.pose)
+        if frame == "world":
+            object.__setattr__(moved, "_origin", self)
+        return moved
+
+    def transform(
+        self, old_from_new: ArrayLike, *, variable: str, frame: Frame, pose: ArrayLike
+    ) -> FisherInformation:
+        """F_new = Aᵀ F A for ξ_old = A ξ_new, and the covariance of its entries exactly.
+
+        Args:
+            old_from_new: (6, 6), A; `se3.adjoint(agent_from_common)` for a body frame.
+            variable: what the new twist belongs to.
+            frame: the new twist's frame.
+            pose: the new variable's pose, 4 x 4.
+        """
+        A = np.asarray(old_from_new, dtype=np.float64)
+        # Column q holds the upper triangle of Aᵀ E_q A, for each symmetric basis matrix E_q.
+        T = pack(A.T @ unpack(np.eye(21)) @ A).T
+        return dataclass_replace(
+            self,
+            matrix=A.T @ self.matrix @ A,
+            covariance_of_entries=T @ self.covariance_of_entries @ T.T,
+            frame=frame,
+            variable=variable,
+            pose=se3.as_pose(pose),
+            plain_matrix=None if self.plain_matrix is None else A.T @ self.plain_matrix @ A,
+        )
+
+    def __add__(self, other: FisherInformation) -> FisherInformation:
+        """Information from independent measurements of the same pose.
+
+        The sum keeps the larger length scale; its selection counts the pixels of both.
+
+        Raises:
+            FrameError: variable, frame or linearisation pose differ.
+        """
+        if not isinstance(other, FisherInformation):
+            return NotImplemented
+        self._refuse_to_mix(other)
+        if self.frame == "world":
+            return (self.to_frame("camera") + other.to_frame("camera")).to_frame("world")
+        plain = None
+        if self.plain_matrix is not None and other.plain_matrix is not None:
+            plain = self.plain_matrix + other.plain_matrix
+        return dataclass_replace(
+            self,
+            matrix=self.matrix + other.matrix,
+            covariance_of_entries=self.covariance_of_entries + other.covariance_of_entries,
+            length_scale=max(self.length_scale, other.length_scale),
+            selection=_joint_selection(self.selection, other.selection),
+            plain_matrix=plain,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """All fields as JSON-able values."""
+        return {
+            "matrix": self.matrix.tolist(),
+            "covariance_of_entries": self.covariance_of_entries.tolist(),
+            "frame": self.frame,
+            "variable": self.variable,
+            "pose": self.pose.tolist(),
+            "length_scale": self.length_scale,
+            "selection": vars(self.selection).copy(),
+            "plain_matrix": None if self.plain_matrix is None else self.plain_matrix.tolist(),
+        }
+
+    def _refuse_to_mix(self, other: FisherInformation) -> None:
+        if self.variable != other.variable:
+            raise FrameError(f"cannot add information about {self.variable!r} and about {other.variable!r}")
+        if self.frame != other.frame:
+            raise FrameError(
+                f"cannot add information in the {self.frame} and in the {other.frame} frame; "
+                "call to_frame on one of them"
+            )
+        tolerance = 1e-9 * max(1.0, float(np.abs(self.pose[:3, 3]).max()))
+        if not np.allclose(self.pose, other.pose, rtol=0.0, atol=tolerance):
+            raise FrameError("cannot add information linearised at two different poses")
+
+
+class InformationAccumulator:
+    """Streams the information of an image, block by block; the tiles' sizes and order do not matter.
+
+    Every call adds whole blocks: all selected pixels of one 16 x 16 block of the film (`BLOCK`) must come in
+    the same call, because the variance is estimated per block. Tiles with sides that are multiples of 16
+    satisfy this.
+    """
+
+    def __init__(self, *, batches: int, sampled: bool = False) -> None:
+        """Start from nothing.
+
+        Args:
+            batches: K ≥ 4, independent estimates per pixel.
+            sampled: also sum what the sampling variance of a random pixel subset needs (slower).
+
+        Raises:
+            OptionError: fewer than four batches.
+        """
+        if batches < MINIMUM_BATCHES:
+            raise OptionError(f"batches must be at least {MINIMUM_BATCHES}, not {batches}")
+        self._batches = batches
+        self._sampled = sampled
+        self._blocks: set[int] = set()
+        self._count = 0
+        self._sum = np.zeros(21)
+        self._covariance = np.zeros((21, 21))
+        self._plain = np.zeros((6, 6))
+        self._pixel_products = np.zeros((21, 21))
+
+    def add(self, batch_values: ArrayLike, weights: ArrayLike, pixels: ArrayLike) -> None:
+        """Add the pixels of some whole blocks.
+
+        Args:
+            batch_values: (K, n, C, 6), independent estimates of ∂I/∂ξ.
+            weights: (n, C), inverse noise variances.
+            pixels: (n, 2), column x and row y.
+
+        Raises:
+            OptionError: the number of batches is not the one announced.
+            PixelsError: shapes do not fit, a pixel comes twice, or a block comes in two calls.
+            NoiseError: a weight is negative or not finite.
+            RadianceError: a derivative is not finite.
+        """
+        values = np.asarray(batch_values, dtype=np.float64)
+        precision = np.asarray(weights, dtype=np.float64)
+        positions = np.asarray(pixels)
+        self._check(values, precision, positions)
+        if len(positions) == 0:
+            return
+        order, starts = self._order(positions)
+        root = np.sqrt(precision)
+        grams = np.empty((len(starts) - 1, 6 * self._batches, 6 * self._batches))
+        for b, (start, stop) in enumerate(pairwise(starts)):
+            whitened = _whiten(values, root, order[start:stop]).reshape(-1, 6 * self._batches)
+            grams[b] = whitened.T @ whitened
+        if not np.isfinite(grams).all():
+            bad = int(np.count_nonzero(~np.isfinite(values).all(axis=(0, 2, 3))))
+            raise RadianceError(f"the Jacobian is not finite at {bad} of {len(positions)} pixels")
+        means, covariance = _u_statistics(grams, self._batches)
+        self._count += len(positions)
+        self._sum += means.sum(axis=0)
+        self._covariance += covariance
+        blockwise = grams.sum(axis=0).reshape(self._batches, 6, self._batches, 6)
+        self._plain += blockwise.sum(axis=(0, 2)) / self._batches**2
+        if self._sampled:
+            self._add_pixels(values, root, order)
+
+    def information(
+        self, *, frame: Frame, variable: str, pose: ArrayLike, length_scale: float, selection: PixelSelection
+    ) -> FisherInformation:
+        """The information of everything added so far, scaled to the whole image for a random subset.
+
+        For n of N pixels drawn without replacement, F̂ = (N/n) Σ F̂_u and
+        Cov = (N/n)² V + N² (1 − n/N)/n · S²; V is the Monte Carlo covariance of the sum, S² the unbiased
+        covariance between pixels.
+
+        Raises:
+            PixelsError: nothing was added, more pixels than selected, or a random subset without `sampled`.
+        """
+        n, N = selection.selected, selection.total
+        if self._count == 0:
+            raise PixelsError("no pixels were measured, so there is no information to report")
+        if self._count > n or n > N:
+            raise PixelsError(f"{self._count} pixels were added, {n} selected, of {N} in the image")
+        factor, covariance = 1.0, self._covariance
+        if selection.kind == "random":
+            factor = N / n
+            covariance = factor**2 * covariance
+            if n < N:
+                covariance = covariance + N**2 * (1.0 - n / N) / n * self._between_pixels(n)
+        return FisherInformation(
+            matrix=factor * unpack(self._sum),
+            covariance_of_entries=covariance,
+            frame=frame,
+            variable=variable,
+            pose=se3.as_pose(pose),
+            length_scale=length_scale,
+            selection=selection,
+            plain_matrix=factor * self._plain,
+        )
+
+    def _between_pixels(self, n: int) -> Array:
+        """S², unbiased: Σ_u F_u F_uᵀ from disjoint batch pairs, (Σ F_u)(Σ F_u)ᵀ less its own noise."""
+        if not self._sampled:
+            raise PixelsError("a random pixel subset needs InformationAccumulator(batches=..., sampled=True)")
+        if n < 2:
+            raise PixelsError("a random subset of one pixel has no sampling variance; select at least two")
+        square_of_sum = np.outer(self._sum, self._sum) - self._covariance
+        return (self._pixel_products - square_of_sum / n) / (n - 1)
+
+    def _add_pixels(self, values: Array, root: Array, order: NDArray[np.intp]) -> None:
+        for start in range(0, len(order), _CHUNK):
+            whitened = _whiten(values, root, order[start : start + _CHUNK])
+            whitened = whitened.reshape(*whitened.shape[:2], -1)
+            means, covariance = _u_statistics(whitened.transpose(0, 2, 1) @ whitened, self._batches)
+            self._pixel_products += means.T @ means - covariance
+
+    def _order(self, pixels: NDArray[np.integer]) -> tuple[NDArray[np.intp], list[int]]:
+        """Sort by block, then by pixel, so that the sums do not depend on the order given."""
+        x, y = pixels.astype(np.int64).T
+        block = (y // BLOCK << 32) | (x // BLOCK)
+        order = np.lexsort((x, y, block))
+        x, y, block = x[order], y[order], block[order]
+        if np.any((np.diff(x) == 0) & (np.diff(y) == 0)):
+            raise PixelsError("a pixel was given twice in one call")
+        starts = np.flatnonzero(np.diff(block, prepend=-1))
+        blocks = {int(block[s]) for s in starts}
+        if not self._blocks.isdisjoint(blocks):
+            raise PixelsError(
+                f"pixels of one {BLOCK} x {BLOCK} block came in two calls; tile sides are multiples of {BLOCK}"
+            )
+        self._blocks |= blocks
+        return order, [*starts.tolist(), len(order)]
+
+    def _check(self, values: Array, weights: Array, pixels: NDArray[Any]) -> None:
+        if values.ndim != 4 or values.shape[-1] != 6:
+            raise PixelsError(f"batch values must have shape (K, n, C, 6), not {values.shape}")
+        if values.shape[0] != self._batches:
+            raise OptionError(f"got {values.shape[0]} batches, expected {self._batches}")
+        if weights.shape != values.shape[1:3]:
+            raise NoiseError(f"weights must have shape {values.shape[1:3]}, not {weights.shape}")
+        if not (np.isfinite(weights).all() and (weights >= 0.0).all()):
+            raise NoiseError("the noise model gave inverse variances that are negative or not finite")
+        if pixels.shape != (values.shape[1], 2) or not np.issubdtype(pixels.dtype, np.integer):
+            raise PixelsError(f"pixels must be integers of shape ({values.shape[1]}, 2), not {pixels.shape}")
+        if pixels.size and pixels.min() < 0:
+            raise PixelsError("pixel coordinates must not be negative")
+
+
+def fisher_information(jacobian: ImageJacobian, noise: NoiseModel) -> FisherInformation:
+    """The Fisher information F = JᵀΣ⁻¹J of the pose, estimated without bias, in the Jacobian's frame.
+
+    Raises:
+        NoiseError: the noise model does not fit the image.
+        RadianceError: the Jacobian is not finite somewhere.
+    """
+    if not isinstance(noise, NoiseModel):
+        raise NoiseError(f"expected a noise model such as noise.Gaussian(0.01), not {noise!r}")
+    noise.check(*jacobian.image.shape)
+    camera = jacobian.to_frame("camera")
+    accumulator = InformationAccumulator(
+        batches=len(camera.batch_values), sampled=camera.selection.kind == "random"
+    )
+    accumulator.add(camera.batch_values, noise.weights(camera.pixels, camera.mean), camera.pixels)
+    information = accumulator.information(
+        frame="camera",
+        variable=camera.variable,
+        pose=camera.pose,
+        length_scale=camera.length_scale,
+        selection=camera.selection,
+    )
+    return information.to_frame(jacobian.frame)
+
+
+def pack(matrix: ArrayLike) -> Array:
+    """The upper triangle of symmetric (..., 6, 6) matrices as (..., 21), in `numpy.triu_indices(6)` order."""
+    return np.asarray(matrix, dtype=np.float64)[..., _TRIU[0], _TRIU[1]]
+
+
+def unpack(vector: ArrayLike) -> Array:
+    """The symmetric (..., 6, 6) matrices whose upper triangles are (..., 21): the inverse of `pack`."""
+    values = np.asarray(vector, dtype=np.float64)
+    matrix = np.empty((*values.shape[:-1], 6, 6))
+    matrix[..., _TRIU[0], _TRIU[1]] = values
+    matrix[..., _TRIU[1], _TRIU[0]] = values
+    return matrix
+
+
+def _whiten(values: Array, root: Array, index: NDArray[np.intp]) -> Array:
+    """√w J_k of some pixels as (m, C, K, 6), contiguous."""
+    return np.multiply(values[:, index].transpose(1, 2, 0, 3), root[index][:, :, None, None], order="C")
+
+
+def _u_statistics(grams: Array, batches: int) -> tuple[Array, Array]:
+    """F̂ of every block, (B, 21), and the sum over blocks of its estimated covariance, (21, 21)."""
+    K = batches
+    products = grams.reshape(-1, K, 6, K, 6)
+    pairs = list(combinations(range(K), 2))
+    h = np.stack([pack(_symmetrised(products[:, k, :, j, :])) for k, j in pairs], axis=1)
+    means = h.mean(axis=1)
+    d = h - means[:, None]
+    incidence = np.array([[float(k in pair) for pair in pairs] for k in range(K)])
+    s = np.einsum("kp,bpi->bki", incidence, d).reshape(-1, 21)
+    d = d.reshape(-1, 21)
+    return means, 4.0 * (s.T @ s - d.T @ d) / (K * (K - 1) * (K - 2) * (K - 3))
+
+
+def _symmetrised(matrices: Array) -> Array:
+    return 0.5 * (matrices + matrices.swapaxes(-1, -2))
+
+
+def _old_from_new(old: Frame, new: Frame, pose: Array) -> Array | None:
+    """A with ξ_old = A ξ_new, or None if the frames agree."""
+    if new not in ("camera", "world"):
+        raise FrameError(f"unknown frame {new!r}; expected 'camera' or 'world'")
+    if old == new:
+        return None
+    return se3.adjoint(pose if old == "world" else se3.inverse(pose))
+
+
+def _joint_selection(a: PixelSelection, b: PixelSelection) -> PixelSelection:
+    kinds: tuple[Literal["only", "random", "all"], ...] = ("only", "random", "all")
+    kind = next(kind for kind in kinds if kind in (a.kind, b.kind))
+    return PixelSelection(
+        kind, a.total + b.total, a.selected + b.selected, f"{a.description} + {b.description}"
+    )
