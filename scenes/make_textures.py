@@ -8,6 +8,7 @@ colour; arrays of float16 become OpenEXR files and hold linear values, for patte
 from __future__ import annotations
 
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +108,79 @@ def sky() -> Array:
     return (ground + (heaven - ground) * above[..., None]).astype(np.float16)
 
 
+def box(*, shared: bool) -> tuple[Array, Array]:
+    """Cube with corners at ±1, outward faces: 8 vertices, or 24 that split at the edges."""
+    corner = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    quad = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+    if not shared:
+        corner, quad = corner[quad.ravel()], np.arange(24).reshape(6, 4)
+    return corner, np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
+
+
+def frond() -> tuple[Array, Array]:
+    """A flat palm frond in the plane z = 0, about 2 long, from the origin along y: midrib and leaflets."""
+    vertices: list[Array] = []
+    faces: list[list[int]] = []
+
+    def polygon(*points: Array) -> None:
+        faces.extend(
+            [len(vertices), len(vertices) + i, len(vertices) + i + 1] for i in range(1, len(points) - 1)
+        )
+        vertices.extend(points)
+
+    def midrib(t: float) -> Array:
+        return np.array([0.35 * t**2, 2 * t - 0.25 * t**3, 0.0])
+
+    def along(t: float) -> Array:
+        direction = np.array([0.7 * t, 2 - 0.75 * t**2, 0.0])
+        return direction / np.linalg.norm(direction)
+
+    steps = np.linspace(0, 1, 13)
+    for t0, t1 in pairwise(steps):
+        side0, side1 = (np.array([along(t)[1], -along(t)[0], 0]) * 0.02 * (1 - 0.8 * t) for t in (t0, t1))
+        polygon(midrib(t0) - side0, midrib(t0) + side0, midrib(t1) + side1, midrib(t1) - side1)
+    for i, t in enumerate(np.linspace(0.18, 0.98, 15)):
+        for side in (-1, 1):
+            length = 0.75 * np.sin(np.pi * (0.2 + 0.72 * t)) * (1 + 0.12 * np.sin(2.3 * i + side))
+            turn = side * np.radians(62 - 30 * t + 5 * np.sin(1.7 * i))
+            ahead = along(t)
+            axis = np.array(
+                [
+                    ahead[0] * np.cos(turn) + ahead[1] * np.sin(turn),
+                    -ahead[0] * np.sin(turn) + ahead[1] * np.cos(turn),
+                    0,
+                ]
+            )
+            across = np.array([axis[1], -axis[0], 0]) * 0.045
+            root = midrib(t)
+            polygon(
+                root,
+                root + 0.35 * length * axis + across,
+                root + length * axis,
+                root + 0.35 * length * axis - across,
+            )
+    return np.array(vertices), np.array(faces)
+
+
+def meshes() -> dict[str, tuple[Array, Array]]:
+    """Path below the scenes folder -> vertices (n, 3) [local unit], triangles (m, 3)."""
+    return {
+        "boxes/shared_box.ply": box(shared=True),
+        "boxes/split_box.ply": box(shared=False),
+        "shadows/frond.ply": frond(),
+    }
+
+
+def ply(vertices: Array, faces: Array) -> str:
+    """The mesh as an ASCII PLY file."""
+    head = ["ply", "format ascii 1.0", f"element vertex {len(vertices)}"]
+    head += [f"property float {axis}" for axis in "xyz"]
+    head += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header"]
+    rows = [" ".join(f"{value:.6g}" for value in vertex) for vertex in vertices]
+    rows += ["3 " + " ".join(map(str, face)) for face in faces]
+    return "\n".join(head + rows) + "\n"
+
+
 def textures() -> dict[str, Array]:
     """Path below the scenes folder -> (height, width, 3): uint8 is sRGB (PNG), float16 linear (OpenEXR)."""
     return {
@@ -129,6 +203,11 @@ def write(folder: Path) -> list[Path]:
             header = {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage}
             with OpenEXR.File(header, {"RGB": pixels}) as file:
                 file.write(str(path))
+        paths.append(path)
+    for name, (vertices, faces) in meshes().items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(ply(vertices, faces), encoding="ascii", newline="\n")
         paths.append(path)
     return paths
 
