@@ -39,7 +39,10 @@ MINIMUM_BATCHES = 4
 """Two disjoint pairs of batches are needed to estimate the variance without bias."""
 
 _TRIU = np.triu_indices(6)
-_CHUNK = 4096  # pixels whose 6K x 6K products are held at once; bounds the memory of `_add_pixels`
+_CHUNK = 4096  # pixels whose products are held at once; bounds the memory of `_add_pixels`
+# Rows of one BLAS call. Larger products wake BLAS's threads, whose barrier costs milliseconds on a busy
+# machine, a hundred times the product itself.
+_ROWS = 128
 
 
 @dataclass(frozen=True)
@@ -307,18 +310,17 @@ class InformationAccumulator:
         order, starts = self._order(positions)
         root = np.sqrt(precision)
         grams = np.empty((len(starts) - 1, 6 * self._batches, 6 * self._batches))
-        for b, (start, stop) in enumerate(pairwise(starts)):
-            whitened = _whiten(values, root, order[start:stop]).reshape(-1, 6 * self._batches)
-            grams[b] = whitened.T @ whitened
+        for gram, (start, stop) in zip(grams, pairwise(starts), strict=True):
+            gram[...] = _gram(_whiten(values, root, order[start:stop]).reshape(-1, 6 * self._batches))
         if not np.isfinite(grams).all():
             bad = int(np.count_nonzero(~np.isfinite(values).all(axis=(0, 2, 3))))
             raise RadianceError(f"the Jacobian is not finite at {bad} of {len(positions)} pixels")
-        means, covariance = _u_statistics(grams, self._batches)
+        products = grams.reshape(-1, self._batches, 6, self._batches, 6)
+        means, covariance = _u_statistics(_block_products(products), self._batches)
         self._count += len(positions)
-        self._sum += means.sum(axis=0)
+        self._sum += means.sum(axis=1)
         self._covariance += covariance
-        blockwise = grams.sum(axis=0).reshape(self._batches, 6, self._batches, 6)
-        self._plain += blockwise.sum(axis=(0, 2)) / self._batches**2
+        self._plain += products.sum(axis=(0, 1, 3)) / self._batches**2
         if self._sampled:
             self._add_pixels(values, root, order)
 
@@ -368,9 +370,8 @@ class InformationAccumulator:
     def _add_pixels(self, values: Array, root: Array, order: NDArray[np.intp]) -> None:
         for start in range(0, len(order), _CHUNK):
             whitened = _whiten(values, root, order[start : start + _CHUNK])
-            whitened = whitened.reshape(*whitened.shape[:2], -1)
-            means, covariance = _u_statistics(whitened.transpose(0, 2, 1) @ whitened, self._batches)
-            self._pixel_products += means.T @ means - covariance
+            means, covariance = _u_statistics(_pixel_products(whitened), self._batches)
+            self._pixel_products += means @ means.T - covariance
 
     def _order(self, pixels: NDArray[np.integer]) -> tuple[NDArray[np.intp], list[int]]:
         """Sort by block, then by pixel, so that the sums do not depend on the order given."""
@@ -384,7 +385,7 @@ class InformationAccumulator:
         blocks = {int(block[s]) for s in starts}
         if not self._blocks.isdisjoint(blocks):
             raise PixelsError(
-                f"pixels of one {BLOCK} x {BLOCK} block came in two calls; tile sides are multiples of {BLOCK}"
+                f"a {BLOCK} x {BLOCK} block came in two calls; use tile sides that are multiples of {BLOCK}"
             )
         self._blocks |= blocks
         return order, [*starts.tolist(), len(order)]
@@ -448,18 +449,46 @@ def _whiten(values: Array, root: Array, index: NDArray[np.intp]) -> Array:
     return np.multiply(values[:, index].transpose(1, 2, 0, 3), root[index][:, :, None, None], order="C")
 
 
-def _u_statistics(grams: Array, batches: int) -> tuple[Array, Array]:
-    """F̂ of every block, (B, 21), and the sum over blocks of its estimated covariance, (21, 21)."""
+def _gram(rows: Array) -> Array:
+    """Aᵀ A of A (r, 6K)."""
+    whole = len(rows) // _ROWS * _ROWS
+    stack = rows[:whole].reshape(-1, _ROWS, rows.shape[1])
+    rest = rows[whole:]
+    return np.asarray((stack.swapaxes(1, 2) @ stack).sum(axis=0) + rest.T @ rest, dtype=np.float64)
+
+
+def _block_products(products: Array) -> Array:
+    """h_kl of every block, (pairs k < l, 21, B), from the blocks' (B, K, 6, K, 6) = J_kᵀ W J_l."""
+    pairs = combinations(range(products.shape[1]), 2)
+    return np.stack([pack(_symmetrised(products[:, k, :, j, :])).T for k, j in pairs])
+
+
+def _pixel_products(whitened: Array) -> Array:
+    """h_kl of every pixel, (pairs k < l, 21, m), from (m, C, K, 6); pixels run last, for long inner loops."""
+    columns = np.ascontiguousarray(whitened.transpose(1, 2, 3, 0))
+    pairs = list(combinations(range(columns.shape[1]), 2))
+    h = np.empty((len(pairs), 21, len(whitened)))
+    for p, (k, j) in enumerate(pairs):
+        for q, (a, b) in enumerate(zip(*_TRIU, strict=True)):
+            h[p, q] = 0.5 * (
+                np.einsum("cm,cm->m", columns[:, k, a], columns[:, j, b])
+                + np.einsum("cm,cm->m", columns[:, k, b], columns[:, j, a])
+            )
+    return h
+
+
+def _u_statistics(h: Array, batches: int) -> tuple[Array, Array]:
+    """F̂ of every unit (block or pixel), (21, B), and the sum over units of its covariance, (21, 21)."""
     K = batches
-    products = grams.reshape(-1, K, 6, K, 6)
-    pairs = list(combinations(range(K), 2))
-    h = np.stack([pack(_symmetrised(products[:, k, :, j, :])) for k, j in pairs], axis=1)
-    means = h.mean(axis=1)
-    d = h - means[:, None]
-    incidence = np.array([[float(k in pair) for pair in pairs] for k in range(K)])
-    s = np.einsum("kp,bpi->bki", incidence, d).reshape(-1, 21)
-    d = d.reshape(-1, 21)
-    return means, 4.0 * (s.T @ s - d.T @ d) / (K * (K - 1) * (K - 2) * (K - 3))
+    means = h.mean(axis=0)
+    d = h - means
+    covariance = np.zeros((21, 21))
+    for k in range(K):
+        s_k = d[[k in pair for pair in combinations(range(K), 2)]].sum(axis=0)
+        covariance += _gram(s_k.T)
+    for d_kl in d:
+        covariance -= _gram(d_kl.T)
+    return means, 4.0 / (K * (K - 1) * (K - 2) * (K - 3)) * covariance
 
 
 def _symmetrised(matrices: Array) -> Array:
