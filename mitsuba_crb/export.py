@@ -1,0 +1,283 @@
+"""What a run leaves on disk: a JSON document and a multi-channel OpenEXR image.
+
+Every file is written beside its destination and moved there in one step, so that an interrupted run
+leaves the old file or none, never half of one. `check_target` asks the folder before anything is
+rendered.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import secrets
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from . import se3
+from .errors import OutputError
+
+if TYPE_CHECKING:
+    from .bound import PoseBound
+    from .information import FisherInformation, ImageJacobian
+    from .noise import NoiseModel
+
+SCHEMA = "mitsuba-crb/bound/1"
+
+COLUMN_NAMES = ("dI_drho_x", "dI_drho_y", "dI_drho_z", "dI_dphi_x", "dI_dphi_y", "dI_dphi_z")
+"""EXR layers of the six Jacobian columns, in twist order: translation [radiance / scene unit], then
+rotation [radiance / rad]. The channels of a layer are `R`, `G`, `B`, as in `dI_drho_x.R`."""
+
+_PROVENANCE_KEYS = (
+    "scene",
+    "defines",
+    "sensor",
+    "method",
+    "spp",
+    "seed",
+    "batches",
+    "size",
+    "pixels",
+    "noise",
+)
+_BOUND_KEYS = (
+    "frame",
+    "twist_order",
+    "units",
+    "length_scale",
+    "information",
+    "information_standard_error",
+    "covariance",
+    "position_std",
+    "position_std_standard_error",
+    "rotation_std_deg",
+    "rotation_std_deg_standard_error",
+    "eigenvalues",
+    "eigenvalues_standard_error",
+    "rank",
+    "unobserved",
+)
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """The image, its Jacobian and its information density; NaN where a pixel was not measured."""
+
+    image: npt.NDArray[np.float32]
+    """(H, W, C) linear RGB [radiance]."""
+    columns: npt.NDArray[np.float32]
+    """(H, W, C, 6) dI/dξ in `frame` [radiance / scene unit], then [radiance / rad]."""
+    information: npt.NDArray[np.float64]
+    """(H, W) each pixel's unbiased share of the trace of the Fisher information in the camera frame with
+    translation scaled by the length scale; negative by chance where there is hardly any."""
+    frame: Literal["camera", "world"]
+    """Frame of `columns`."""
+    pose: npt.NDArray[np.float64]
+    """`world_from_camera`, 4x4, the linearisation point."""
+    length_scale: float
+    """Median visible depth [scene unit]."""
+
+
+class Gathering:
+    """Takes tiles as they are measured, keeps of each what `Pictures` need, and composes them.
+
+    Args:
+        noise: the model whose inverse variances weight the information; None: unit variance.
+    """
+
+    def __init__(self, noise: NoiseModel | None = None) -> None:
+        self._noise = noise
+        self._tiles: list[tuple[npt.NDArray[Any], ...]] = []
+
+    def add(
+        self,
+        pixels: npt.NDArray[np.integer],
+        mean: npt.NDArray[np.float64],
+        batch_values: npt.NDArray[np.float64],
+    ) -> None:
+        """Take over some pixels.
+
+        Args:
+            pixels: (n, 2) columns and rows.
+            mean: (n, C) the image there.
+            batch_values: (K, n, C, 6) independent estimates of dI/dξ in the camera frame.
+        """
+        batches = len(batch_values)
+        total = np.sum(batch_values, axis=0)
+        squares = (total**2 - np.sum(batch_values**2, axis=0)) / (batches * (batches - 1))
+        weights = 1.0 if self._noise is None else self._noise.weights(pixels, mean)[..., None]
+        # (n, 2): translation and rotation apart, because the length scale comes later
+        density = np.sum((weights * squares).reshape(*mean.shape, 2, 3), axis=(1, 3))
+        self._tiles.append(
+            (np.array(pixels), mean.astype(np.float32), (total / batches).astype(np.float32), density)
+        )
+
+    def pictures(
+        self,
+        information: FisherInformation,
+        size: tuple[int, int],
+        *,
+        frame: Literal["camera", "world"] = "camera",
+        variance: float = 1.0,
+    ) -> Pictures:
+        """Compose what was gathered.
+
+        Args:
+            information: what became of the same pixels: its pose, length scale and selection.
+            size: width and height of the image [pixel].
+            frame: of the columns.
+            variance: of the noise where no model was given [radiance²].
+        """
+        width, height = size
+        channels = self._tiles[0][1].shape[1] if self._tiles else 3
+        image = np.full((height, width, channels), np.nan, np.float32)
+        columns = np.full((height, width, channels, 6), np.nan, np.float32)
+        density = np.full((height, width), np.nan)
+        selection, length = information.selection, information.length_scale
+        scale = (selection.total / selection.selected if selection.kind == "random" else 1.0) / variance
+        turn = np.eye(6) if frame == "camera" else se3.adjoint(se3.inverse(information.pose))
+        for pixels, mean, values, squares in self._tiles:
+            x, y = pixels.T
+            image[y, x] = mean
+            columns[y, x] = values @ turn  # dI/dξ_world = dI/dξ_camera · Ad(camera_from_world)
+            density[y, x] = scale * (squares @ (length**2, 1.0))
+        return Pictures(image, columns, density, frame, information.pose, length)
+
+
+def pictures_of(
+    jacobian: ImageJacobian, information: FisherInformation, noise: NoiseModel | None = None
+) -> Pictures:
+    """The pictures of a Jacobian held whole, its columns in the camera frame."""
+    jacobian = jacobian.to_frame("camera")
+    gathering = Gathering(noise)
+    gathering.add(jacobian.pixels, jacobian.mean, jacobian.batch_values)
+    height, width = jacobian.image.shape[:2]
+    return gathering.pictures(information, (width, height))
+
+
+def check_target(path: Path, option: str, inputs: Sequence[Path] = ()) -> None:
+    """Raise `OutputError` unless `path` can be written, without touching what is there.
+
+    Args:
+        path: the file to be written.
+        option: the option's name, for the message.
+        inputs: files that this run reads, and that must not be overwritten.
+    """
+    folder = path.parent
+    if not folder.is_dir():
+        raise OutputError(f"{option} {path}: the folder {folder} does not exist; create it first")
+    if path.is_dir():
+        raise OutputError(f"{option} {path}: this is a folder; name a file in it")
+    if path.exists() and not path.is_file():
+        raise OutputError(f"{option} {path}: this is not a regular file; name another")
+    for source in inputs:
+        if path.exists() and source.exists() and path.samefile(source):
+            raise OutputError(
+                f"{option} {path}: this would overwrite an input of this run; name another file"
+            )
+    # asking by writing: permission bits say nothing about root, read-only mounts and quotas
+    probe = _beside(path)
+    try:
+        probe.touch(exist_ok=False)
+        probe.unlink()
+    except OSError as error:
+        raise OutputError(
+            f"{option} {path}: cannot write in the folder {folder} ({error.strerror})"
+        ) from error
+
+
+@contextmanager
+def atomic(path: Path) -> Iterator[Path]:
+    """A temporary path beside `path` that replaces it when the block ends, and vanishes if it fails."""
+    target = path.resolve()  # a link keeps pointing where it did
+    temporary = _beside(target)
+    try:
+        yield temporary
+        os.replace(temporary, target)
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
+
+
+def _beside(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+
+
+def bound_document(bound: PoseBound) -> dict[str, Any]:
+    """The bound and its provenance as strict JSON: infinities are "inf", not-a-number is None."""
+    values, provenance = bound.to_dict(), bound.provenance
+    document = {
+        "schema": SCHEMA,
+        **{key: provenance.get(key) for key in _PROVENANCE_KEYS},
+        "pose": bound.information.pose,
+        **{key: values[key] for key in _BOUND_KEYS},
+        "noise_inflation": provenance.get("noise_inflation"),
+        "warnings": provenance.get("warnings", []),
+        "versions": provenance.get("versions", {}),
+        "seconds": provenance.get("seconds", {}),
+    }
+    plain: dict[str, Any] = _plain(document)
+    return plain
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
+    return str(value) if isinstance(value, Path) else value
+
+
+def write_json(path: Path, document: Mapping[str, Any]) -> None:
+    """Write `document`, which holds no infinity and no NaN (see `bound_document`), as UTF-8 JSON."""
+    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    with atomic(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_exr(
+    path: Path, pictures: Pictures, attributes: Mapping[str, str | int | float] | None = None
+) -> None:
+    """Write the image (`R`, `G`, `B`) and the six columns (`dI_drho_x.R` ... `dI_dphi_z.B`) in float32.
+
+    Args:
+        path: the file to write.
+        pictures: what to write; pixels that were not measured are NaN in every channel.
+        attributes: further header entries beside frame, twist order, units, pose and length scale.
+    """
+    import OpenEXR
+
+    channels = dict(zip("RGB", np.moveaxis(pictures.image, -1, 0), strict=True))
+    for axis, name in enumerate(COLUMN_NAMES):
+        for channel, plane in zip("RGB", np.moveaxis(pictures.columns[..., axis], -1, 0), strict=True):
+            channels[f"{name}.{channel}"] = plane
+    header = {
+        **(attributes or {}),
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "frame": pictures.frame,
+        "twist_order": " ".join(name.removeprefix("dI_d") for name in COLUMN_NAMES),
+        "units": "radiance, radiance / scene unit (rho), radiance / rad (phi)",
+        "world_from_camera": np.asarray(pictures.pose, np.float64),
+        "length_scale": float(pictures.length_scale),
+    }
+    planes = {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
+    with atomic(path) as temporary:
+        try:
+            OpenEXR.File(header, planes).write(str(temporary))
+        except RuntimeError as error:  # how OpenEXR reports a full disk
+            raise OutputError(f"cannot write {path}: {error}") from error
