@@ -1,0 +1,211 @@
+"""What a run says on the terminal: progress, tables of a bound, a check of methods, a diagnosis."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from .se3 import TWIST_ORDER
+
+if TYPE_CHECKING:
+    from .bound import PoseBound
+    from .doctor import Diagnosis
+    from .validation import JacobianCheck
+
+_POSITION = ("position x", "position y", "position z")
+_ROTATION = ("pitch (about x)", "yaw (about y)", "roll (about z)")
+_UNSEEN = "∞ (unseen)"
+
+
+def print_bound(console: Console, bound: PoseBound) -> None:
+    """The six standard deviations with errors and units, the rank, and what the numbers rest on."""
+    facts = bound.provenance
+    width, height = facts["size"]
+    _line(console, Text(Path(str(facts["scene"])).name, style="bold"), f"  {width}×{height} pixels")
+    table = _table()
+    table.add_column("no unbiased estimator does better than (1σ)")
+    table.add_column("bound", justify="right")
+    table.add_column("± std. error", justify="right")
+    table.add_column("unit")
+    groups = (
+        (_POSITION, bound.position_std, bound.position_std_standard_error, "scene unit, world axis"),
+        (_ROTATION, bound.rotation_std_deg, bound.rotation_std_deg_standard_error, "deg, camera axis"),
+    )
+    for names, deviations, errors, unit in groups:
+        for name, deviation, error in zip(names, deviations, errors, strict=True):
+            table.add_row(name, *number_with_error(float(deviation), float(error)), unit)
+        table.add_section()
+    console.print(table)
+    _facts(console, _bound_facts(bound))
+    _notes(console, facts.get("warnings", ()))
+
+
+def number_with_error(value: float, error: float) -> tuple[str, str]:
+    """`value` and its standard error, rounded to the error's second digit, in one notation."""
+    if math.isinf(value):
+        return _UNSEEN, ""
+    if math.isnan(value):
+        return "undefined", ""
+    known = math.isfinite(error) and error > 0
+    exponent = math.floor(math.log10(abs(value))) if value else 0
+    shift = 0 if -5 <= exponent < 5 else exponent
+    last = math.floor(math.log10(error)) - 1 if known else exponent - 3
+    digits = max(0, min(12, shift - last))
+    suffix = f"e{shift:+03d}" if shift else ""
+    written = f"{value / 10.0**shift:.{digits}f}{suffix}"
+    return written, f"± {error / 10.0**shift:.{digits}f}{suffix}" if known else "± unknown"
+
+
+def _bound_facts(bound: PoseBound) -> list[tuple[str, str]]:
+    facts = bound.provenance
+    rows = [("rank", f"{bound.rank} of 6")]
+    rows += [("unseen", direction.description) for direction in bound.unobserved]
+    rows.append(("length scale", _length_scale(bound.length_scale)))
+    rows.append(("noise", _noise(facts["noise"])))
+    inflation = facts.get("noise_inflation")
+    if inflation is not None and math.isfinite(inflation):
+        claim = f"{100 * abs(inflation):.2g} % {'more' if inflation >= 0 else 'less'}"
+        rows.append(("Monte Carlo noise", f"removed; plain JᵀWJ would have claimed {claim} information"))
+    rows.append(("pixels", _pixels(facts["pixels"])))
+    rows.append(
+        (
+            "method",
+            f"{facts['method']}, {facts['spp']} paths per pixel in {facts['batches']} batches, "
+            f"seed {facts['seed']}",
+        )
+    )
+    rows.append(("time", _seconds(facts["seconds"])))
+    return rows
+
+
+def _length_scale(length: float) -> str:
+    return f"{length:.4g} scene units (median visible depth; 1 if nothing finite is visible)"
+
+
+def _noise(noise: dict[str, Any]) -> str:
+    sigma, origin = noise.get("sigma"), noise.get("origin")
+    named = f"Gaussian, σ = {sigma:.4g}" if sigma is not None else str(noise.get("kind", "given"))
+    return f"{named} ({origin})" if origin else named
+
+
+def _pixels(pixels: dict[str, Any]) -> str:
+    kind, selected, total = pixels["kind"], pixels["selected"], pixels["total"]
+    if kind == "all":
+        return f"all {total}"
+    meaning = (
+        "an estimate of the whole image's information"
+        if kind == "random"
+        else "for an estimator that sees only these"
+    )
+    return f"{selected} of {total} ({pixels['description']}): {meaning}"
+
+
+def _seconds(seconds: dict[str, float]) -> str:
+    parts = ", ".join(f"{name} {value:.2g}" for name, value in seconds.items() if name != "total")
+    return f"{seconds['total']:.1f} s" + (f" ({parts})" if parts else "")
+
+
+def print_check(console: Console, check: JacobianCheck) -> None:
+    """Each method's columns beside those of finite differences, and the verdict."""
+    for row in check.rows:
+        table = _table()
+        table.add_column(f"{row.method} / finite_difference")
+        table.add_column("information ratio", justify="right")
+        table.add_column("columns differ by", justify="right")
+        table.add_column("would have seen", justify="right")
+        table.add_column("verdict")
+        for axis, name in enumerate(TWIST_ORDER):
+            wrong = bool(row.disagrees[axis])
+            if wrong:
+                verdict = Text("differs", style="bold red")
+            else:
+                verdict = Text("equal" if math.isfinite(row.ratio[axis]) else "unseen by both", style="green")
+            table.add_row(
+                name,
+                _pair(row.ratio[axis], row.ratio_standard_error[axis], ".3f"),
+                _pair(row.difference[axis], row.difference_standard_error[axis], ".1%"),
+                f"{row.detectable[axis]:.2%}" if math.isfinite(row.detectable[axis]) else "",
+                verdict,
+            )
+        console.print(table)
+    seen = f"{check.detectable:.2g}" if math.isinf(check.detectable) else f"{check.detectable:.2%}"
+    sentence = {
+        "agree": f"the methods agree; a disagreement in information of {seen} would have been seen",
+        "disagree": f"the methods disagree; the smallest disagreement that would have been seen is {seen}",
+        "inconclusive": f"inconclusive: only a disagreement above {seen} would have been seen; raise --spp",
+    }[check.verdict]
+    _line(console, Text(sentence, style="green" if check.verdict == "agree" else "bold yellow"))
+
+
+def _pair(value: float, error: float, form: str) -> str:
+    if math.isnan(value):
+        return ""
+    return f"{value:{form}}" + (f" ± {error:{form}}" if math.isfinite(error) else "")
+
+
+def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:
+    """What is installed and whether it works, a line each."""
+    table = _table()
+    table.show_header = False
+    for name, value, good in diagnosis.rows:
+        mark = Text("ok", style="green") if good else Text("FAILS", style="bold red")
+        table.add_row(name, Text(str(value)), mark)
+    console.print(table)
+    if diagnosis.ok:
+        _line(console, Text("everything needed works", style="green"))
+    else:
+        _line(console, Text("something needed does not work; see the lines that fail", style="bold red"))
+
+
+@contextmanager
+def progress() -> Iterator[Callable[[int, int], None]]:
+    """A bar on standard error, on a terminal only; yields what to call with (done, total) pixels."""
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("loading", total=None)
+        yield lambda done, total: bar.update(task, description="measuring", completed=done, total=total)
+
+
+def _table() -> Table:
+    return Table(box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold")
+
+
+def _facts(console: Console, rows: list[tuple[str, str]]) -> None:
+    width = max(len(name) for name, _ in rows)
+    for name, value in rows:
+        _line(console, Text(f"{name:<{width}}  ", style="dim"), value)
+
+
+def _notes(console: Console, warnings: Any) -> None:
+    for warning in warnings:
+        _line(console, Text("note: ", style="bold yellow"), " ".join(str(warning).split()))
+
+
+def _line(console: Console, *parts: str | Text) -> None:
+    # soft_wrap: a long line stays one line for grep and for the terminal's own wrapping
+    console.print(Text.assemble(*parts), soft_wrap=True, highlight=False)
