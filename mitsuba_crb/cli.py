@@ -1,0 +1,318 @@
+"""The command `mitsuba-crb`: parse, call one library function, print.
+
+Nothing heavy is imported before it is needed, so that `--help` answers at once and `doctor` works
+where Mitsuba does not load. Exit codes: 0; 2 for every mistake that has a message; 130 for Ctrl-C; 70 for
+an error that nobody foresaw; `check` has its own (0 agree, 1 disagree, 3 inconclusive).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import time
+import traceback
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from . import __version__
+from .errors import MitsubaCRBError, OutputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from .bound import PoseBound
+    from .measure import TileJacobian
+
+INTERNAL_ERROR = 70
+
+app = typer.Typer(
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="How precisely could any algorithm estimate this camera's pose from this image of this scene?",
+)
+
+Scene = Annotated[Path, typer.Argument(metavar="SCENE", help="A Mitsuba 3 scene file (.xml).")]
+Sensor = Annotated[str, typer.Option(metavar="S", help="The camera: index or id.")]
+Pose = Annotated[
+    str | None,
+    typer.Option(
+        metavar='FILE|"x y z qx qy qz qw"',
+        help="world_from_camera in place of the scene's: a file with a 4x4 matrix (text, .npy or .json), "
+        "or position and quaternion.",
+    ),
+]
+Method = Annotated[str, typer.Option(metavar="M", help="How the Jacobian is measured.")]
+Spp = Annotated[int, typer.Option(metavar="N", help="Paths per pixel over all batches.")]
+Seed = Annotated[int, typer.Option(metavar="N", help="Of all random numbers; same seed, same bits.")]
+Batches = Annotated[int, typer.Option(metavar="N", help="Independent estimates, at least 4.")]
+Size = Annotated[str | None, typer.Option(metavar="WxH", help="Image size in place of the film's (pixels).")]
+Define = Annotated[
+    list[str] | None,
+    typer.Option("-D", metavar="name=value", help="Set one of the scene's <default>s; repeatable."),
+]
+Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+
+
+def main() -> None:
+    """Entry point of `mitsuba-crb`."""
+    raise SystemExit(run())
+
+
+def run(arguments: list[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    try:
+        code = app(arguments or ["--help"], prog_name="mitsuba-crb", standalone_mode=False)
+    except typer.TyperException as error:  # a usage error: unknown option, missing argument, not a number
+        complain(error.format_message())
+        return error.exit_code
+    except KeyboardInterrupt:
+        complain("interrupted")
+        return 130
+    except Exception:
+        traceback.print_exc()
+        complain("this error was not foreseen, please report it with the lines above")
+        return INTERNAL_ERROR
+    return int(code or 0)
+
+
+def complain(message: str) -> None:
+    """Say one line on standard error."""
+    typer.echo(f"mitsuba-crb: {' '.join(message.split())}", err=True)
+
+
+@contextmanager
+def foreseen(debug: bool) -> Iterator[None]:
+    """Turn what can go wrong into one line and an exit code."""
+    try:
+        yield
+    except (MitsubaCRBError, MemoryError) as error:
+        if debug:
+            traceback.print_exc()
+        complain(str(error) or "out of memory: choose a smaller --size or fewer --spp")
+        raise typer.Exit(2) from error
+    except KeyboardInterrupt as error:
+        complain("interrupted; no half-written file is left")
+        raise typer.Exit(130) from error
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"mitsuba-crb {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+def _view_options(
+    sensor: str, pose: str | None, size: str | None, spp: int, seed: int, batches: int
+) -> dict[str, Any]:
+    """What `bound` and `check` share, as the library's keyword arguments."""
+    from .arguments import parse_pose, parse_size
+
+    return {
+        "sensor": sensor,
+        "pose": parse_pose(pose),
+        "size": parse_size(size),
+        "spp": spp,
+        "seed": seed,
+        "batches": batches,
+    }
+
+
+def _check_targets(targets: dict[str, Path | None], inputs: list[Path]) -> None:
+    """Every output can be written, no two are one file, none is an input."""
+    from .export import check_target
+
+    taken: dict[Path, str] = {}
+    for option, path in targets.items():
+        if path is None:
+            continue
+        check_target(path, option, inputs)
+        other = taken.setdefault(path.resolve(), option)
+        if other != option:
+            raise OutputError(f"{option} and {other} both name {path}; give each a file of its own")
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep warnings, which the library's results repeat, from being printed Python's way."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def _in_frame(bound: PoseBound, frame: Literal["camera", "world"]) -> PoseBound:
+    """The same bound with its matrices in `frame`."""
+    from .bound import cramer_rao_bound
+
+    if bound.frame == frame:
+        return bound
+    turned = cramer_rao_bound(bound.information.to_frame(frame))
+    return dataclasses.replace(turned, provenance=bound.provenance)
+
+
+def _console() -> Console:
+    from rich.console import Console
+
+    return Console()
+
+
+@app.command()
+def bound(
+    scene: Scene,
+    sensor: Sensor = "0",
+    pose: Pose = None,
+    method: Method = "finite_difference",
+    spp: Spp = 64,
+    seed: Seed = 0,
+    batches: Batches = 4,
+    size: Size = None,
+    define: Define = None,
+    sigma: Annotated[
+        float | None,
+        typer.Option(
+            metavar="X",
+            help="Standard deviation of the pixel noise (radiance); default: 0.01 of the image's white.",
+        ),
+    ] = None,
+    pixels: Annotated[
+        str | None,
+        typer.Option(metavar="random:F|gradient:F|MASK.png", help="Which pixels to measure; default: all."),
+    ] = None,
+    drop_invalid: Annotated[
+        bool, typer.Option("--drop-invalid", help="Leave out pixels with NaN or infinite radiance.")
+    ] = False,
+    frame: Annotated[
+        Literal["camera", "world"],
+        typer.Option(help="Of the matrices and Jacobian columns; the standard deviations do not change."),
+    ] = "camera",
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write everything as JSON.")
+    ] = None,
+    exr_file: Annotated[
+        Path | None,
+        typer.Option("--exr", metavar="FILE", help="Write the image and six Jacobian columns as OpenEXR."),
+    ] = None,
+    plot_file: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="Write a page of pictures as PNG.")
+    ] = None,
+    debug: Debug = False,
+) -> None:
+    """The Cramér–Rao bound on the camera's pose."""
+    start = time.perf_counter()
+    with foreseen(debug):
+        from .arguments import parse_defines, pose_file
+        from .noise import Gaussian
+
+        options = _view_options(sensor, pose, size, spp, seed, batches)
+        defines = parse_defines(define)
+        noise = None if sigma is None else Gaussian(sigma)
+        inputs = [scene, *([Path(pixels)] if pixels else []), *filter(None, [pose_file(pose)])]
+        _check_targets({"--json": json_file, "--exr": exr_file, "--plot": plot_file}, inputs)
+
+        from .export import Gathering, bound_document, write_exr, write_json
+        from .measure import pose_bound
+        from .report import print_bound, progress
+        from .scene import load_scene
+
+        gathering = Gathering() if exr_file or plot_file else None
+        with _quiet(), progress() as advance:
+
+            def on_tile(tile: TileJacobian, done: int, total: int) -> None:
+                if gathering is not None:
+                    gathering.add(tile.pixels, tile.mean, tile.batch_values)
+                advance(done, total)
+
+            loaded = load_scene(scene, **defines)
+            load = time.perf_counter() - start
+            result = pose_bound(
+                loaded,
+                noise,
+                method=method,
+                pixels=pixels,
+                drop_invalid=drop_invalid,
+                on_tile=on_tile,
+                **options,
+            )
+            result = _in_frame(result, frame)
+        seconds = {"load": load, **result.provenance["seconds"], "total": time.perf_counter() - start}
+        provenance = {**result.provenance, "scene": str(scene), "defines": defines, "seconds": seconds}
+        result = dataclasses.replace(result, provenance=provenance)
+        try:
+            if json_file is not None:
+                write_json(json_file, bound_document(result))
+            if gathering is not None:
+                width, height = provenance["size"]
+                variance = provenance["noise"]["sigma"] ** 2
+                pictures = gathering.pictures(
+                    result.information, (width, height), frame=frame, variance=variance
+                )
+                if exr_file is not None:
+                    write_exr(
+                        exr_file,
+                        pictures,
+                        {"scene": str(scene), "method": method, "spp": spp, "seed": seed},
+                    )
+                if plot_file is not None:
+                    from .plot import write_plot
+
+                    write_plot(plot_file, result, pictures)
+        finally:  # a disk that fills up must not cost the answer
+            print_bound(_console(), result)
+
+
+@app.command()
+def check(
+    scene: Scene,
+    sensor: Sensor = "0",
+    pose: Pose = None,
+    spp: Spp = 256,
+    seed: Seed = 0,
+    batches: Batches = 8,
+    size: Size = None,
+    define: Define = None,
+    debug: Debug = False,
+) -> int:
+    """Compare the methods with finite differences on this scene.
+
+    Exit code 0 if they agree, 1 if they disagree, 3 if this many paths cannot tell.
+    """
+    with foreseen(debug):
+        from .arguments import parse_defines
+
+        options = _view_options(sensor, pose, size, spp, seed, batches)
+        defines = parse_defines(define)
+
+        from .report import print_check
+        from .scene import load_scene
+        from .validation import check_jacobian
+
+        with _quiet():
+            result = check_jacobian(load_scene(scene, **defines), **options)
+        print_check(_console(), result)
+        return int(result.exit_code)
+
+
+@app.command()
+def doctor(debug: Debug = False) -> int:
+    """Versions, LLVM, cores, and whether a 16x16 bound runs."""
+    with foreseen(debug):
+        from .doctor import diagnose
+        from .report import print_diagnosis
+
+        diagnosis = diagnose()
+        print_diagnosis(_console(), diagnosis)
+        return 0 if diagnosis.ok else 1
