@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -74,26 +73,29 @@ def _textures(scene: mi.Scene) -> list[str]:
 
 
 def _is_nearest(texture: mi.Texture) -> bool:
-    """Whether a bitmap is constant within each texel while its texels differ."""
+    """Whether a bitmap is constant within texels whose neighbours differ."""
+    import drjit as dr
     import mitsuba as mi
 
     width, height = texture.resolution()
-    if width * height < 2:
-        return False
     rng = np.random.default_rng(0)
-    texel = np.stack([rng.integers(0, width, 256), rng.integers(0, height, 256)])
+    texel = np.stack([rng.integers(0, width, 1024), rng.integers(0, height, 1024)])
+    texture_from_uv = np.array(mi.traverse(texture)["to_uv"].matrix, dtype=np.float64).reshape(3, 3)
+    uv_from_texture = np.linalg.inv(texture_from_uv)
 
     def value(inside: float) -> NDArray[np.float64]:
-        uv = (texel + inside) / np.array([[width], [height]])
-        si = dr.zeros(mi.SurfaceInteraction3f, 256)
-        si.uv = mi.Point2f(uv[0].astype(np.float32), uv[1].astype(np.float32))
+        point = (texel + inside) / np.array([[width], [height]])
+        uv = (uv_from_texture[:2, :2] @ point + uv_from_texture[:2, 2:]).astype(np.float32)
+        si = dr.zeros(mi.SurfaceInteraction3f, uv.shape[1])
+        si.uv = mi.Point2f(uv[0], uv[1])
         return np.array(texture.eval(si), dtype=np.float64)
 
-    # A texture's own uv transform moves both points alike: a nearest bitmap then still gives equal pairs but
-    # for the few that a texel border separates.
-    low, high = value(0.45), value(0.55)
-    same = np.all(np.abs(low - high) <= 1e-6, axis=0)
-    return bool(same.mean() > 0.7 and np.ptp(low) > 1e-6)
+    def differ(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
+        return np.asarray(np.abs(a - b).max(axis=0) > 1e-5)
+
+    below, low, high, above = (value(inside) for inside in (-0.5, 0.4, 0.6, 1.5))
+    telling = differ(below, low) & differ(high, above)
+    return bool(telling.any() and not np.any(differ(low, high) & telling))
 
 
 def _has_silhouettes(
@@ -123,6 +125,7 @@ def _has_silhouettes(
 
 def _has_shadows(scene: mi.Scene, hit: mi.SurfaceInteraction3f) -> bool:
     """Whether a light that faces the visible surfaces reaches only some of them."""
+    import drjit as dr
     import mitsuba as mi
 
     if not scene.emitters():

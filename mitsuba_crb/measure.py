@@ -10,25 +10,27 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import importlib
 import importlib.metadata
-import os
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from . import lint, llvm
+from . import lint, llvm, subset
 from .bound import PoseBound, cramer_rao_bound
-from .errors import BlindSpotWarning, NoiseError, OptionError, PixelsError, PrecisionWarning, RadianceError
+from .errors import BlindSpotWarning, NoiseError, OptionError, PrecisionWarning, RadianceError
 from .information import BLOCK, ImageJacobian, InformationAccumulator, PixelSelection
+from .jacobian.finite_difference import STEP_PIXELS
 from .noise import Gaussian, NoiseModel
 from .scene import View, open_view
 
 DEFAULT_METHOD = "finite_difference"
+METHODS = ("finite_difference", "forward")
+"""Each is a module of `jacobian` with one function `jacobian`."""
 RELATIVE_SIGMA = 0.01
 """Standard deviation of the default noise, as a fraction of the image's white."""
 
@@ -54,6 +56,7 @@ def pose_jacobian(
     tile: int = 128,
     drop_invalid: bool = False,
     on_tile: Progress | None = None,
+    step_pixels: float = STEP_PIXELS,
 ) -> ImageJacobian:
     """The Jacobian dI/dξ of every selected pixel, in the camera frame.
 
@@ -61,7 +64,7 @@ def pose_jacobian(
         scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
         sensor: index or id.
         pose: `world_from_camera`, 4x4 or `RigidTransform`, in place of the sensor's own.
-        method: "finite_difference" or "forward".
+        method: one of `METHODS`.
         spp: paths per pixel over all batches; a multiple of `batches`. Finite differences trace 12 times
             that, "forward" 6 times.
         seed: of all random numbers; equal calls give equal bits.
@@ -72,6 +75,7 @@ def pose_jacobian(
         tile: side of the tiles [pixel], a multiple of 16; bounds the memory, not the result.
         drop_invalid: leave out pixels whose radiance is not finite instead of raising.
         on_tile: called after each tile.
+        step_pixels: image motion of a finite-difference step [pixel]; other methods have none.
 
     Returns:
         `ImageJacobian` in the camera frame; translation columns [radiance / scene unit], rotation columns
@@ -94,6 +98,7 @@ def pose_jacobian(
         seed=seed,
         batches=batches,
         tile=tile,
+        step_pixels=step_pixels,
     ) as run:
         mask = run.select(pixels)
         run.warn_of_limits()
@@ -161,12 +166,14 @@ def pose_bound(
             seed=seed,
             batches=batches,
             tile=tile,
+            step_pixels=STEP_PIXELS,
         ) as run:
             mask = run.select(pixels)
             model, origin = run.noise(noise)
+            model.check(mask.shape[0], mask.shape[1], 3)
             run.warn_of_limits()
             prepared = time.perf_counter()
-            accumulator = InformationAccumulator(batches=batches)
+            accumulator = InformationAccumulator(batches=batches, sampled=run.selection.kind == "random")
             for part in run.tiles(mask, drop_invalid, on_tile):
                 accumulator.add(part.batch_values, model.weights(part.pixels, part.mean), part.pixels)
             information = accumulator.information(
@@ -216,9 +223,8 @@ class _Measurement:
     seed: int
     batches: int
     tile: int
+    step_pixels: float
     length_scale: float
-    pilot: NDArray[np.float64]
-    """(n, 3) radiance on a coarse grid of pixels."""
     selection: PixelSelection
 
     def provenance(self) -> dict[str, Any]:
@@ -240,47 +246,29 @@ class _Measurement:
 
     def select(self, pixels: Any) -> NDArray[np.bool_]:
         """The pixels to measure as a mask (H, W); sets `selection`."""
-        width, height = self.view.size
-        total = width * height
-        mask = np.ones((height, width), dtype=bool)
-        if pixels is None or (isinstance(pixels, str) and pixels == "all"):
-            return mask
-        kind, description = "only", "mask"
-        if isinstance(pixels, str) and pixels.split(":")[0] in ("random", "gradient"):
-            rule, count = _parse_fraction(pixels, total)
-            if rule == "random":
-                kind = "random"
-                ranking = np.random.default_rng(self.seed).permutation(total)
-            else:
-                ranking = np.argsort(-self._squared_gradient().ravel(), kind="stable")
-            mask = np.zeros(total, dtype=bool)
-            mask[ranking[:count]] = True
-            mask, description = mask.reshape(height, width), pixels
-        else:
-            mask, description = _read_mask(pixels, (height, width))
-        self.selection = PixelSelection(
-            "random" if kind == "random" else "only", total, int(mask.sum()), description
-        )
+        mask, self.selection = subset.choose(pixels, self.view.size, self.seed, self._pilot_image)
         return mask
 
-    def _squared_gradient(self) -> NDArray[np.float64]:
-        from .jacobian import pixels as px
-
+    def _pilot_image(self) -> NDArray[np.float64]:
+        """(H, W, 3) a pilot render of every pixel."""
         width, height = self.view.size
         image = np.empty((height, width, 3))
-        for part in _tiles(np.ones((height, width), dtype=bool), self.tile):
-            render = px.render_pixels(self.view, part, spp=_PILOT_SPP, seed=self.seed, purpose=px.PILOT)
-            image[part[:, 1], part[:, 0]] = render[0]
-        padded = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="edge")
-        along_x = padded[1:-1, 2:] - padded[1:-1, :-2]
-        along_y = padded[2:, 1:-1] - padded[:-2, 1:-1]
-        return np.asarray(np.sum(along_x**2 + along_y**2, axis=2))
+        for part in subset.tiles(np.ones((height, width), dtype=bool), self.tile):
+            image[part[:, 1], part[:, 0]] = self._pilot(part)
+        return image
+
+    def _pilot(self, pixels: NDArray[np.int64]) -> NDArray[np.float64]:
+        from .jacobian.pixels import PILOT, render_pixels
+
+        image = render_pixels(self.view, pixels, spp=_PILOT_SPP, seed=self.seed, purpose=PILOT)
+        return np.asarray(image[0])
 
     def noise(self, model: NoiseModel | None) -> tuple[NoiseModel, str]:
         """The noise model and where it came from."""
         if model is not None:
             return model, "given"
-        finite = self.pilot[np.isfinite(self.pilot)]
+        pilot = self._pilot(_pilot_grid(self.view.size))
+        finite = pilot[np.isfinite(pilot)]
         white = float(np.percentile(finite, 99.0)) if finite.size else 0.0
         if not white > 0.0:
             raise NoiseError(
@@ -307,16 +295,18 @@ class _Measurement:
         self, mask: NDArray[np.bool_], drop_invalid: bool, on_tile: Progress | None
     ) -> Iterator[TileJacobian]:
         """The Jacobian, one tile after the other."""
-        jacobian = _METHODS[self.method]()
+        method = importlib.import_module(f".jacobian.{self.method}", __package__)
+        steps = {"step_pixels": self.step_pixels} if self.method == "finite_difference" else {}
         done, total, invalid = 0, int(mask.sum()), 0
-        for part in _tiles(mask, self.tile):
-            values, primal = jacobian(
+        for part in subset.tiles(mask, self.tile):
+            values, primal = method.jacobian(
                 self.view,
                 part,
                 spp=self.spp,
                 seed=self.seed,
                 batches=self.batches,
                 length_scale=self.length_scale,
+                **steps,
             )
             done += len(part)
             good = np.isfinite(values).all(axis=(0, 2, 3)) & np.isfinite(primal).all(axis=1)
@@ -346,13 +336,13 @@ def _measurement(
     seed: int,
     batches: int,
     tile: int,
+    step_pixels: float,
 ) -> Iterator[_Measurement]:
     _check_options(method, spp, seed, batches, tile)
     with open_view(scene, sensor=sensor, pose=pose, integrator=integrator, size=size) as view:
-        from .jacobian import pixels as px
+        from .jacobian.pixels import first_hits
 
-        grid = _pilot_grid(view.size)
-        _, depth = px.first_hits(view, grid)
+        _, depth = first_hits(view, _pilot_grid(view.size))
         visible = depth[np.isfinite(depth) & (depth > 0)]
         yield _Measurement(
             view=view,
@@ -361,30 +351,15 @@ def _measurement(
             seed=seed,
             batches=batches,
             tile=tile,
+            step_pixels=step_pixels,
             length_scale=float(np.median(visible)) if visible.size else 1.0,
-            pilot=px.render_pixels(view, grid, spp=_PILOT_SPP, seed=seed, purpose=px.PILOT)[0],
-            selection=PixelSelection("all", total := view.size[0] * view.size[1], total, "all"),
+            selection=subset.everything(view.size),
         )
 
 
-def _finite_difference() -> Any:
-    from .jacobian import finite_difference
-
-    return finite_difference.jacobian
-
-
-def _forward() -> Any:
-    from .jacobian import forward
-
-    return forward.jacobian
-
-
-_METHODS = {"finite_difference": _finite_difference, "forward": _forward}
-
-
 def _check_options(method: str, spp: int, seed: int, batches: int, tile: int) -> None:
-    if method not in _METHODS:
-        raise OptionError(f"unknown method {method!r}; methods: {', '.join(_METHODS)}")
+    if method not in METHODS:
+        raise OptionError(f"unknown method {method!r}; methods: {', '.join(METHODS)}")
     for name, value in (("spp", spp), ("seed", seed), ("batches", batches), ("tile", tile)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer):
             raise OptionError(f"{name} must be a whole number; got {value!r}")
@@ -399,56 +374,6 @@ def _check_options(method: str, spp: int, seed: int, batches: int, tile: int) ->
         raise OptionError(f"seed must lie in [0, 2^64); got {seed}")
     if tile <= 0 or tile % BLOCK:
         raise OptionError(f"tile must be a positive multiple of {BLOCK} pixels; got {tile}")
-
-
-def _parse_fraction(text: str, total: int) -> tuple[str, int]:
-    rule, _, number = text.partition(":")
-    try:
-        fraction = float(number)
-    except ValueError:
-        fraction = np.nan
-    if not 0.0 < fraction <= 1.0:
-        raise PixelsError(f"{text!r}: the fraction must lie in (0, 1], for example {rule}:0.1")
-    return rule, max(1, round(fraction * total))
-
-
-def _read_mask(pixels: Any, shape: tuple[int, int]) -> tuple[NDArray[np.bool_], str]:
-    description = "mask"
-    if isinstance(pixels, str | os.PathLike):
-        path = Path(pixels)
-        description = path.name
-        if not path.is_file():
-            raise PixelsError(
-                f"pixels {str(pixels)!r} is neither random:f, gradient:f nor the path of a mask image"
-            )
-        from PIL import Image, UnidentifiedImageError
-
-        try:
-            with Image.open(path) as picture:
-                pixels = np.asarray(picture.convert("L")) > 127
-        except UnidentifiedImageError as error:
-            raise PixelsError(f"{path} is no image; a mask is a PNG, white where measured") from error
-    mask = np.asarray(pixels)
-    if mask.dtype != bool:
-        raise PixelsError(f"a mask is a boolean array; got {mask.dtype}")
-    if mask.shape != shape:
-        raise PixelsError(
-            f"the mask is {' x '.join(map(str, mask.shape[::-1]))}, the image {shape[1]} x {shape[0]} "
-            "(width x height)"
-        )
-    if not mask.any():
-        raise PixelsError("the mask is empty: no pixel is white")
-    return mask, description
-
-
-def _tiles(mask: NDArray[np.bool_], tile: int) -> Iterator[NDArray[np.int64]]:
-    """The selected pixels (n, 2) of each tile that has any."""
-    height, width = mask.shape
-    for top in range(0, height, tile):
-        for left in range(0, width, tile):
-            rows, columns = np.nonzero(mask[top : top + tile, left : left + tile])
-            if rows.size:
-                yield np.stack([columns + left, rows + top], axis=1).astype(np.int64)
 
 
 def _pilot_grid(size: tuple[int, int]) -> NDArray[np.int64]:

@@ -4,8 +4,8 @@
 
 Both renders use the same random numbers, so their noise cancels where the image is smooth. The step h_i is
 given in pixels of image motion (0.15, a fraction of the reconstruction filter, which is what smooths the
-image in the pose); translation steps are capped at 0.05 length scales. The bias is h²/6 times a third derivative.
-Almost assumption-free, at the price of twelve renders. Source: design section 4.3.
+image in the pose); translation steps are capped at 0.05 length scales. The bias is h²/6 times a third
+derivative. Almost assumption-free, at the price of twelve renders. Source: design section 4.3.
 """
 
 from __future__ import annotations

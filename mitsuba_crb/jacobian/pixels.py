@@ -32,7 +32,7 @@ def _sampler_class() -> Any:
     """The sampler that gives every lane its own stream; made late, because `mi` needs a variant."""
     import mitsuba as mi
 
-    class PixelSampler(mi.Sampler):
+    class PixelSampler(mi.Sampler):  # type: ignore[misc]  # Mitsuba is untyped here
         """Independent random numbers from one PCG32 stream per lane."""
 
         def __init__(self, rng: mi.PCG32) -> None:
@@ -240,7 +240,7 @@ def render_pixels(
     return np.array(total / spp, dtype=np.float64).T.reshape(len(pixels), batches, 3).transpose(1, 0, 2)
 
 
-@dr.syntax
+@dr.syntax  # type: ignore[untyped-decorator]
 def sum_samples(
     view: View,
     pixel_filter: PixelFilter,

@@ -1,0 +1,119 @@
+"""Which pixels are measured: all, a random or gradient-rich fraction, or a mask; and their tiles.
+
+A random subset *estimates* the whole image's information, so it is scaled up and its sampling variance
+enters the standard errors. A mask or a gradient-rich subset *is* the measurement of an estimator that sees
+only those pixels. `PixelSelection` says which (design section 5).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import PixelsError
+from .information import PixelSelection
+
+
+def everything(size: tuple[int, int]) -> PixelSelection:
+    """The selection of every pixel of a width x height image."""
+    total = size[0] * size[1]
+    return PixelSelection("all", total, total, "all")
+
+
+def choose(
+    pixels: Any, size: tuple[int, int], seed: int, pilot_image: Callable[[], NDArray[np.float64]]
+) -> tuple[NDArray[np.bool_], PixelSelection]:
+    """The pixels that a user asked for.
+
+    Args:
+        pixels: None or "all", "random:f", "gradient:f" with 0 < f ≤ 1, a boolean array (H, W), or the path
+            of a mask image (white where measured).
+        size: width and height [pixel].
+        seed: of the random choice.
+        pilot_image: gives an image (H, W, 3) whose gradients are ranked; called only for "gradient:f".
+
+    Returns:
+        Mask (H, W), and what it means.
+
+    Raises:
+        PixelsError: none of these, a fraction outside (0, 1], a mask that is empty or of another size.
+    """
+    whole = everything(size)
+    width, height = size
+    if pixels is None or (isinstance(pixels, str) and pixels == "all"):
+        return np.ones((height, width), dtype=bool), whole
+    if isinstance(pixels, str) and pixels.split(":")[0] in ("random", "gradient"):
+        rule, count = _parse_fraction(pixels, whole.total)
+        if rule == "random":
+            ranking = np.random.default_rng(seed).permutation(whole.total)
+        else:
+            ranking = np.argsort(-_squared_gradient(pilot_image()).ravel(), kind="stable")
+        mask = np.zeros(whole.total, dtype=bool)
+        mask[ranking[:count]] = True
+        return mask.reshape(height, width), PixelSelection(
+            "random" if rule == "random" else "only", whole.total, count, pixels
+        )
+    mask, description = _read_mask(pixels, (height, width))
+    return mask, PixelSelection("only", whole.total, int(mask.sum()), description)
+
+
+def _squared_gradient(image: NDArray[np.float64]) -> NDArray[np.float64]:
+    padded = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    along_x = padded[1:-1, 2:] - padded[1:-1, :-2]
+    along_y = padded[2:, 1:-1] - padded[:-2, 1:-1]
+    return np.asarray(np.sum(along_x**2 + along_y**2, axis=2))
+
+
+def _parse_fraction(text: str, total: int) -> tuple[str, int]:
+    rule, _, number = text.partition(":")
+    try:
+        fraction = float(number)
+    except ValueError:
+        fraction = np.nan
+    if not 0.0 < fraction <= 1.0:
+        raise PixelsError(f"{text!r}: the fraction must lie in (0, 1], for example {rule}:0.1")
+    return rule, max(1, round(fraction * total))
+
+
+def _read_mask(pixels: Any, shape: tuple[int, int]) -> tuple[NDArray[np.bool_], str]:
+    description = "mask"
+    if isinstance(pixels, str | os.PathLike):
+        path = Path(pixels)
+        description = path.name
+        if not path.is_file():
+            raise PixelsError(
+                f"pixels {str(pixels)!r} is neither random:f, gradient:f nor the path of a mask image"
+            )
+        from PIL import Image, UnidentifiedImageError
+
+        try:
+            with Image.open(path) as picture:
+                pixels = np.asarray(picture.convert("L")) > 127
+        except UnidentifiedImageError as error:
+            raise PixelsError(f"{path} is no image; a mask is a PNG, white where measured") from error
+    mask = np.asarray(pixels)
+    if mask.dtype != bool:
+        raise PixelsError(f"a mask is a boolean array; got {mask.dtype}")
+    if mask.shape != shape:
+        raise PixelsError(
+            f"the mask is {' x '.join(map(str, mask.shape[::-1]))}, the image {shape[1]} x {shape[0]} "
+            "(width x height)"
+        )
+    if not mask.any():
+        raise PixelsError("the mask is empty: no pixel is white")
+    return mask, description
+
+
+def tiles(mask: NDArray[np.bool_], tile: int) -> Iterator[NDArray[np.int64]]:
+    """The selected pixels (n, 2) of each tile that has any."""
+    height, width = mask.shape
+    for top in range(0, height, tile):
+        for left in range(0, width, tile):
+            rows, columns = np.nonzero(mask[top : top + tile, left : left + tile])
+            if rows.size:
+                yield np.stack([columns + left, rows + top], axis=1).astype(np.int64)
