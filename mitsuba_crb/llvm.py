@@ -171,6 +171,9 @@ def _newest() -> tuple[LLVMLibrary | None, list[str]]:
         version, fault = _ask(candidate.path)
         if not fault:
             return LLVMLibrary(candidate.path, version, candidate.origin), rejected
+        if not version and candidate.origin == _PIP_PACKAGE:
+            # its links are made by the first Python that starts after pip, if that may write there
+            fault += " (start Python once as the user who installed it)"
         rejected.append(f"{candidate.path}: {fault}")
     return None, rejected
 

@@ -155,6 +155,15 @@ def test_only_old_ones_are_refused_with_what_to_install(fake, places, version, m
     assert llvm.VARIABLE not in os.environ
 
 
+def test_pips_library_without_its_links_names_the_cure(places, monkeypatch, tmp_path):
+    half_installed = tmp_path / "libLLVM.so.23.1"
+    half_installed.write_bytes(b"")
+    places()
+    monkeypatch.setattr(llvm, "_places", lambda: [(str(half_installed), "karellen-llvm-core")])
+    with pytest.raises(LLVMError, match="start Python once as the user who installed it"):
+        llvm.configure()
+
+
 @pytest.mark.parametrize(
     ("system", "machine", "cure"),
     [
