@@ -195,8 +195,7 @@ class FisherInformation:
             pose: the new variable's pose, 4 x 4.
         """
         A = np.asarray(old_from_new, dtype=np.float64)
-        # Column q holds the upper triangle of Aᵀ E_q A, for each symmetric basis matrix E_q.
-        T = pack(A.T @ unpack(np.eye(21)) @ A).T
+        T = congruence(A)
         return dataclass_replace(
             self,
             matrix=A.T @ self.matrix @ A,
@@ -371,7 +370,7 @@ class InformationAccumulator:
         for start in range(0, len(order), _CHUNK):
             whitened = _whiten(values, root, order[start : start + _CHUNK])
             means, covariance = _u_statistics(_pixel_products(whitened), self._batches)
-            self._pixel_products += means @ means.T - covariance
+            self._pixel_products += _gram(means.T) - covariance
 
     def _order(self, pixels: NDArray[np.integer]) -> tuple[NDArray[np.intp], list[int]]:
         """Sort by block, then by pixel, so that the sums do not depend on the order given."""
@@ -442,6 +441,12 @@ def unpack(vector: ArrayLike) -> Array:
     matrix[..., _TRIU[0], _TRIU[1]] = values
     matrix[..., _TRIU[1], _TRIU[0]] = values
     return matrix
+
+
+def congruence(A: ArrayLike) -> Array:
+    """The (21, 21) matrix T with `pack(Aᵀ F A) = T pack(F)` for every symmetric F."""
+    columns = np.asarray(A, dtype=np.float64)
+    return pack(columns.T @ unpack(np.eye(21)) @ columns).T
 
 
 def _whiten(values: Array, root: Array, index: NDArray[np.intp]) -> Array:
