@@ -88,7 +88,8 @@ def trial() -> None:
     from .noise import Gaussian
 
     transform = mi.ScalarTransform4f()
-    texture = {"type": "checkerboard", "to_uv": transform.rotate([0, 0, 1], 20).scale(6)}
+    blotches = mi.TensorXf(np.random.default_rng(0).random((8, 8, 3)))
+    texture = {"type": "bitmap", "data": blotches, "raw": True}
     scene = {
         "type": "scene",
         "sensor": {
@@ -96,11 +97,15 @@ def trial() -> None:
             "to_world": transform.look_at(origin=[0, 0, 3], target=[0, 0, 0], up=[0, 1, 0]),
             "film": {"type": "hdrfilm", "width": 16, "height": 16},
         },
-        "wall": {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": texture}},
+        "wall": {
+            "type": "rectangle",
+            "to_world": transform.scale(2),
+            "bsdf": {"type": "diffuse", "reflectance": texture},
+        },
         "light": {"type": "constant"},
     }
     start = time.perf_counter()
-    bound = pose_bound(scene, Gaussian(0.01), spp=16)
+    bound = pose_bound(scene, Gaussian(0.01), spp=64)
     seconds = time.perf_counter() - start
     if not np.all(np.isfinite([*bound.position_std, *bound.rotation_std_deg])):
         raise ArithmeticError(f"six finite standard deviations expected, got rank {bound.rank}")
