@@ -267,7 +267,7 @@ def bound(
                         {"scene": str(scene), "method": method, "spp": spp, "seed": seed},
                     )
                 if plot_file is not None:
-                    from .plot import write_plot
+                    from .page import write_plot
 
                     write_plot(plot_file, result, pictures)
         finally:  # a disk that fills up must not cost the answer

@@ -1,0 +1,169 @@
+"""The page of `mitsuba-crb bound --plot`: everything about one bound, laid out by the inch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter
+
+from .export import Pictures, atomic
+from .information import BLOCK
+from .plot import (
+    AXIS_NAMES,
+    MUTED,
+    column_limit,
+    draw_column,
+    draw_ellipsoid,
+    draw_information,
+    draw_picture,
+    draw_render,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.image import AxesImage
+
+    from .bound import PoseBound
+
+_CAMERA_AXES = ("x (left)", "y (up)", "z (forward)")
+_WORLD_AXES = ("world x", "world y", "world z")
+
+# inches
+_WIDTH, _LEFT, _RIGHT, _GAP, _BAR_GAP = 16.0, 0.4, 1.0, 0.2, 1.2
+_HEADER, _CAPTION, _PANEL, _PANEL_GAP = 0.85, 0.55, 1.85, 0.55
+_BAR = (0.12, 0.14)  # distance and width of a colour bar
+_TALLEST = 1.2  # a picture's box, in its widths
+
+Place = Callable[[float, float, float, float], "Axes"]
+
+
+def bound_figure(bound: PoseBound, pictures: Pictures, *, sigma: float = 1.0) -> Figure:
+    """The whole story of a bound on one page.
+
+    Render and information map on the left, the six Jacobian columns beside them (one colour scale for
+    translation, one for rotation), the position and rotation ellipsoids at `sigma` standard deviations
+    below.
+    """
+    height, width = pictures.image.shape[:2]
+    box = (_WIDTH - _LEFT - _RIGHT - _BAR_GAP - 2 * _GAP) / 4
+    high = box * min(height / width, _TALLEST)
+    wide = high * width / height
+    total = _HEADER + 2 * (high + _CAPTION) + _PANEL + 1.35
+    figure = Figure(figsize=(_WIDTH, total), facecolor="white")
+    FigureCanvasAgg(figure)
+
+    def place(left: float, top: float, wide: float, high: float) -> Axes:
+        return figure.add_axes((left / _WIDTH, 1 - (top + high) / total, wide / _WIDTH, high / total))
+
+    _title(figure, bound, pictures, total)
+    lefts = [_LEFT, *(_LEFT + box + _BAR_GAP + axis * (box + _GAP) for axis in range(3))]
+    lefts = [left + (box - wide) / 2 for left in lefts]
+    tops = [_HEADER + _CAPTION + row * (high + _CAPTION) for row in range(2)]
+    grid = [[place(left, top, wide, high) for left in lefts] for top in tops]
+
+    def place_bar(column: int, row: int) -> Axes:
+        return place(lefts[column] + wide + _BAR[0], tops[row], _BAR[1], high)
+
+    image, columns = pictures.image, pictures.columns
+    if bound.information.selection.kind == "random":  # stands for the whole image, so show it whole
+        image, columns = _filled(image), _filled(columns)
+    draw_render(grid[0][0], image)
+    _caption(grid[0][0], "Render", "sRGB, white at the 99th percentile", wide)
+    _caption(grid[1][0], "Fisher information", f"trace per {BLOCK}×{BLOCK} block", wide)
+    if bound.rank:
+        drawn = draw_information(grid[1][0], pictures.information)
+        figure.colorbar(drawn, cax=place_bar(0, 1)).ax.tick_params(which="both", labelsize=8)
+    else:
+        draw_picture(grid[1][0], np.full((height, width), np.nan))
+        grid[1][0].text(width / 2, height / 2, "none", ha="center", va="center", color=MUTED)
+
+    names = _CAMERA_AXES if pictures.frame == "camera" else _WORLD_AXES
+    motions = ((r"\rho", "translation along", "scene unit"), (r"\varphi", "rotation about", "rad"))
+    for row, (symbol, motion, unit) in enumerate(motions):
+        limit = column_limit(columns[..., 3 * row : 3 * row + 3])
+        for axis, ax in enumerate(grid[row][1:]):
+            drawn = draw_column(ax, columns[..., 3 * row + axis], limit=limit)
+            name = rf"$\partial I / \partial {symbol}_{'xyz'[axis]}$"
+            _caption(ax, name, f"{motion} {names[axis]}", wide)
+        _signed_bar(figure, drawn, place_bar(3, row), f"radiance / {unit}")
+
+    _ellipsoids(place, bound, tops[1] + high, sigma)
+    return figure
+
+
+def write_plot(path: Path, bound: PoseBound, pictures: Pictures) -> None:
+    """Write `bound_figure` as a PNG."""
+    figure = bound_figure(bound, pictures)
+    with atomic(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=130)
+
+
+def _caption(ax: Axes, name: str, explanation: str, wide: float) -> None:
+    ax.set_title(name, loc="left", fontsize=12, pad=5)
+    if wide > 3.0:  # inches; in less the two would run into each other
+        ax.set_title(explanation, loc="right", fontsize=9, color=MUTED, pad=5)
+
+
+def _signed_bar(figure: Figure, drawn: AxesImage, cax: Axes, label: str) -> None:
+    formatter = ScalarFormatter(useMathText=True)
+    formatter.set_powerlimits((-2, 3))
+    bar = figure.colorbar(drawn, cax=cax, format=formatter, extend="both", extendfrac=0.03)
+    bar.ax.tick_params(labelsize=8)
+    bar.ax.yaxis.get_offset_text().set(fontsize=8)
+    bar.set_label(label, fontsize=9)
+
+
+def _filled(values: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[Any]]:
+    """(H, W, ...) with every unmeasured pixel given its nearest measured one's value."""
+    from scipy.ndimage import distance_transform_edt
+
+    measured = np.isfinite(values).all(axis=tuple(range(2, values.ndim)))
+    if measured.all() or not measured.any():
+        return values
+    rows, columns = distance_transform_edt(~measured, return_distances=False, return_indices=True)
+    filled: npt.NDArray[np.floating[Any]] = values[rows, columns]
+    return filled
+
+
+def _title(figure: Figure, bound: PoseBound, pictures: Pictures, total: float) -> None:
+    facts = bound.provenance
+    height, width = pictures.image.shape[:2]
+    parts = [f"{width}×{height} pixels"]
+    if bound.information.selection.kind != "all":
+        parts.append(f"{bound.information.selection.description} of them")
+    if "method" in facts:
+        parts.append(f"{facts['method']}, {facts['spp']} spp")
+    if "sigma" in facts.get("noise", {}):
+        parts.append(f"noise σ = {facts['noise']['sigma']:.3g}")
+    parts += [f"rank {bound.rank} of 6", f"length scale {bound.length_scale:.3g} scene units"]
+    name = Path(str(facts.get("scene", bound.information.variable))).stem
+    left = _LEFT / _WIDTH
+    figure.text(left, 1 - 0.2 / total, name, fontsize=17, weight="bold", va="top")
+    summary = "   ·   ".join(parts)
+    figure.text(left, 1 - 0.58 / total, summary, fontsize=10.5, color=MUTED, va="top")
+
+
+def _ellipsoids(place: Place, bound: PoseBound, top: float, sigma: float) -> None:
+    """Two groups of three square panels, each group under a line with its standard deviations."""
+    step = (_WIDTH - _LEFT - 0.15) / 6
+    heads: tuple[tuple[Literal["position", "rotation"], str, npt.NDArray[np.float64], str], ...] = (
+        ("position", "Position along world axes", bound.position_std, ""),
+        ("rotation", "Rotation about camera axes", bound.rotation_std_deg, "°"),
+    )
+    for group, (kind, head, deviations, unit) in enumerate(heads):
+        lefts = [_LEFT + (3 * group + panel) * step + _PANEL_GAP for panel in range(3)]
+        panels = [place(left, top + 0.75, _PANEL, _PANEL) for left in lefts]
+        draw_ellipsoid(panels, bound, kind, sigma=sigma)
+        numbers = ", ".join(
+            f"{name} {f'{value:.2g}{unit}' if np.isfinite(value) else '∞ (unseen)'}"
+            for name, value in zip(AXIS_NAMES[kind], deviations, strict=True)
+        )
+        title = panels[0].set_title(f"{head}, {sigma:g}σ", loc="left", fontsize=12, pad=8)
+        title.set_x(0)
+        panels[2].set_title(f"σ: {numbers}", loc="right", fontsize=9, color=MUTED, pad=8)
