@@ -1,0 +1,361 @@
+from __future__ import annotations
+
+import inspect
+import json
+import os
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import OpenEXR
+import pytest
+import synthetic_view
+
+from mitsuba_crb import cli, measure, scene, se3, validation
+from mitsuba_crb.arguments import parse_defines, parse_pose, parse_size
+from mitsuba_crb.errors import OptionError, PoseError, PrecisionWarning, SceneError
+
+SCENES = Path(__file__).parent.parent / "scenes"
+IDENTITY = "0 0 0 0 0 0 1"
+
+
+@pytest.fixture
+def rendered(monkeypatch):
+    """`pose_bound` and `load_scene` replaced by a synthetic view; records what they were given."""
+    calls = SimpleNamespace(view=synthetic_view.jacobian(), options=None, defines=None, rendered=False)
+
+    def load_scene(path, **defines):
+        calls.defines = defines
+        return "loaded"
+
+    def pose_bound(loaded, noise, *, on_tile, **options):
+        assert loaded == "loaded"
+        calls.rendered, calls.options, calls.noise = True, options, noise
+        warnings.warn("one thing to know", PrecisionWarning, stacklevel=2)
+        view = calls.view
+        for count, half in enumerate(np.array_split(np.arange(len(view.pixels)), 2), 1):
+            tile = SimpleNamespace(
+                batch_values=view.batch_values[:, half], pixels=view.pixels[half], mean=view.mean[half]
+            )
+            on_tile(tile, count * len(half), len(view.pixels))
+        return synthetic_view.bound(view)
+
+    monkeypatch.setattr(scene, "load_scene", load_scene)
+    monkeypatch.setattr(measure, "pose_bound", pose_bound)
+    return calls
+
+
+def refused(capsys, *arguments: str) -> str:
+    """The one line on standard error of a command that must exit with code 2 and print nothing else."""
+    assert cli.run(list(arguments)) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("mitsuba-crb: ")
+    assert err.count("\n") == 1
+    assert len(err) > len("mitsuba-crb: \n")
+    return err
+
+
+def test_table_says_what_a_person_asks(rendered, capsys):
+    assert cli.run(["bound", "room.xml"]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    for word in (
+        "room.xml",
+        "position x",
+        "position y",
+        "position z",
+        "pitch",
+        "yaw",
+        "roll",
+        "scene unit",
+        "deg",
+        "±",
+        "rank",
+        "6 of 6",
+        "length scale",
+        "2.5 scene units",
+        "σ = 0.01",
+        "0.01 of the image's white",
+        "plain JᵀWJ would have claimed",
+        "finite_difference, 64 paths per pixel in 4 batches, seed 0",
+        "note: one thing to know",
+    ):
+        assert word in out
+    assert "PrecisionWarning" not in out
+    assert "∞" not in out
+
+
+def test_table_says_what_is_unseen(rendered, capsys):
+    rendered.view = synthetic_view.jacobian(unseen=(1, 5), noise=0.05)
+    assert cli.run(["bound", "room.xml"]) == 0
+    out = capsys.readouterr().out
+    assert "4 of 6" in out
+    assert "∞ (unseen)" in out
+    for direction in synthetic_view.bound(rendered.view).unobserved:
+        assert direction.description in out
+
+
+@pytest.mark.parametrize("frame", ["camera", "world"])
+def test_all_outputs_are_written_and_agree(rendered, capsys, tmp_path, frame):
+    files = {name: tmp_path / f"out.{name}" for name in ("json", "exr", "plot")}
+    options = [text for name, path in files.items() for text in (f"--{name}", str(path))]
+    assert cli.run(["bound", "room.xml", "--frame", frame, *options]) == 0
+    document = json.loads(files["json"].read_text(encoding="utf-8"))
+    assert document["frame"] == frame
+    assert document["scene"] == "room.xml"
+    assert document["warnings"] == ["one thing to know"]
+    assert {"load", "total"} <= set(document["seconds"])
+    expected = synthetic_view.bound(rendered.view)
+    np.testing.assert_allclose(document["position_std"], expected.position_std, rtol=1e-9)
+    np.testing.assert_allclose(document["rotation_std_deg"], expected.rotation_std_deg, rtol=1e-9)
+    with OpenEXR.File(str(files["exr"])) as file:
+        assert file.header()["frame"] == frame
+    assert files["plot"].read_bytes().startswith(b"\x89PNG")
+    assert sorted(os.listdir(tmp_path)) == ["out.exr", "out.json", "out.plot"]
+
+
+def test_options_reach_the_library(rendered, capsys, tmp_path):
+    matrix = tmp_path / "pose.txt"
+    np.savetxt(matrix, synthetic_view.POSE)
+    arguments = (
+        "--sensor left --method forward --spp 8 --seed 5 --batches 8 --size 20x10 -D a=1 -D b=x=y --sigma 0.1"
+    )
+    code = cli.run(
+        [
+            "bound",
+            "room.xml",
+            *arguments.split(),
+            "--pose",
+            str(matrix),
+            "--pixels",
+            "random:0.5",
+            "--drop-invalid",
+        ]
+    )
+    assert code == 0
+    options = rendered.options
+    np.testing.assert_allclose(options.pop("pose"), synthetic_view.POSE, atol=1e-12)
+    assert options == {
+        "sensor": "left",
+        "method": "forward",
+        "spp": 8,
+        "seed": 5,
+        "batches": 8,
+        "size": (20, 10),
+        "pixels": "random:0.5",
+        "drop_invalid": True,
+    }
+    assert rendered.defines == {"a": "1", "b": "x=y"}
+    assert rendered.noise.sigma == 0.1
+
+
+@pytest.mark.parametrize(
+    ("command", "function"), [(cli.bound, measure.pose_bound), (cli.check, validation.check_jacobian)]
+)
+def test_defaults_are_the_librarys(command, function):
+    ours, theirs = inspect.signature(command).parameters, inspect.signature(function).parameters
+    shared = {name for name in ours if name in theirs} - {"scene", "sensor"}
+    assert {"spp", "seed", "batches", "size", "pose"} <= shared
+    for name in shared:
+        assert ours[name].default == theirs[name].default
+    assert int(ours["sensor"].default) == theirs["sensor"].default
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["--size", "256"], "256x192"),
+        (["--size", "0x10"], "at least 1"),
+        (["--size", "-3x10"], "WxH"),
+        (["-D", "spp"], "name=value"),
+        (["-D", "=3"], "name=value"),
+        (["--pose", "nowhere.txt"], "nowhere.txt"),
+        (["--pose", "1 2 3"], "seven numbers"),
+        (["--pose", "0 0 0 0 0 0 2"], "length"),
+        (["--pose", "0 0 nan 0 0 0 1"], "NaN"),
+        (["--sigma", "0"], "positive"),
+        (["--sigma", "-1"], "positive"),
+        (["--sigma", "nan"], "positive"),
+        (["--sigma", "inf"], "positive"),
+        (["--sigma", "much"], "--sigma"),
+        (["--spp", "many"], "--spp"),
+        (["--frame", "film"], "--frame"),
+        (["--json", "/nowhere/a.json"], "does not exist"),
+        (["--exr", "/nowhere/a.exr"], "does not exist"),
+        (["--plot", "/nowhere/a.png"], "does not exist"),
+        (["--json", "."], "folder"),
+        (["--json", "/dev/null"], "regular file"),
+        (["--json", "same", "--exr", "same"], "both name same"),
+        (["--nonsense"], "--nonsense"),
+        (["another.xml"], "another.xml"),
+    ],
+)
+def test_bad_option_is_one_line_before_anything_is_rendered(
+    rendered, capsys, monkeypatch, tmp_path, arguments, word
+):
+    monkeypatch.chdir(tmp_path)
+    assert word in refused(capsys, "bound", "room.xml", *arguments)
+    assert not rendered.rendered
+    assert rendered.defines is None
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("arguments", [["bound"], ["check"], ["bundle", "room.xml"], ["--nonsense"]])
+def test_bad_command_is_one_line(capsys, arguments):
+    refused(capsys, *arguments)
+
+
+def test_outputs_never_overwrite_inputs(rendered, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    names = ("room.xml", "pose.txt", "mask.png")
+    for name in names:
+        Path(name).write_text(" ".join(map(str, np.eye(4).ravel())))
+    for name in names:
+        line = refused(
+            capsys, "bound", "room.xml", "--pose", "pose.txt", "--pixels", "mask.png", "--json", name
+        )
+        assert "overwrite" in line
+        assert Path(name).read_text().startswith("1.0 0.0")
+
+
+def test_library_error_is_one_line_and_a_traceback_only_with_debug(capsys, monkeypatch):
+    def load_scene(path, **defines):
+        raise SceneError("line 3 of room.xml\nis wrong")
+
+    monkeypatch.setattr(scene, "load_scene", load_scene)
+    assert refused(capsys, "bound", "room.xml") == "mitsuba-crb: line 3 of room.xml is wrong\n"
+    assert cli.run(["bound", "room.xml", "--debug"]) == 2
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_unforeseen_error_shows_its_traceback_and_is_no_verdict(capsys, monkeypatch):
+    monkeypatch.setattr(scene, "load_scene", lambda path: 1 / 0)
+    assert cli.run(["bound", "room.xml"]) == cli.INTERNAL_ERROR
+    assert "ZeroDivisionError" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("moment", ["rendering", "writing"])
+def test_interrupt_is_one_line_and_leaves_files_alone(rendered, capsys, monkeypatch, tmp_path, moment):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    if moment == "rendering":
+        monkeypatch.setattr(measure, "pose_bound", interrupt)
+    else:
+        monkeypatch.setattr(os, "replace", interrupt)
+    path = tmp_path / "out.json"
+    path.write_text("old")
+    assert cli.run(["bound", "room.xml", "--json", str(path)]) == 130
+    err = capsys.readouterr().err
+    assert err.startswith("mitsuba-crb: interrupted")
+    assert err.count("\n") == 1
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["out.json"]
+
+
+def test_answer_is_printed_even_if_a_file_cannot_be_written(rendered, capsys, monkeypatch, tmp_path):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    assert cli.run(["bound", "room.xml", "--json", str(tmp_path / "out.json")]) == 2
+    out, err = capsys.readouterr()
+    assert "position x" in out
+    assert "No space left" in err
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("ratio", "spread", "code", "word"),
+    [(1.0, 0.01, 0, "agree"), (0.2, 0.01, 1, "disagree"), (1.0, 0.2, 3, "inconclusive")],
+)
+def test_check_prints_columns_and_returns_the_verdict(monkeypatch, capsys, ratio, spread, code, word):
+    one = np.ones(6)
+    row = validation.MethodCheck(
+        "forward",
+        ratio * one,
+        spread * one,
+        abs(1 - ratio) * one,
+        spread * one,
+        3 * spread * one,
+        np.full(6, ratio != 1),
+    )
+    result = validation.JacobianCheck((row,), 3 * spread, 0 * one)
+    monkeypatch.setattr(scene, "load_scene", lambda path: "loaded")
+    monkeypatch.setattr(validation, "check_jacobian", lambda loaded, **options: result)
+    assert cli.run(["check", "room.xml"]) == code
+    out = capsys.readouterr().out
+    assert word in out
+    assert f"{3 * spread:.2%}" in out
+    for name in ("forward", *se3.TWIST_ORDER):
+        assert name in out
+
+
+def test_version_and_help_need_nothing_heavy():
+    code = """import sys
+from mitsuba_crb import cli
+assert cli.run(["--version"]) == 0 and cli.run(["--help"]) == 0 and cli.run(["bound", "--help"]) == 0
+heavy = {"mitsuba", "drjit", "numpy", "scipy", "matplotlib", "OpenEXR"} & set(sys.modules)
+sys.exit(", ".join(heavy) or 0)"""
+    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("mitsuba-crb 0.")
+
+
+def test_sizes_and_defines():
+    assert parse_size("256x192") == (256, 192)
+    assert parse_size(" 256 X 192 ") == (256, 192)
+    assert parse_size(None) is None
+    assert parse_defines(["a=1", "a=2", "b="]) == {"a": "2", "b": ""}
+    with pytest.raises(OptionError):
+        parse_size("12")
+
+
+def test_pose_from_numbers_and_files(tmp_path):
+    pose = synthetic_view.POSE
+    quaternion = "0 0 0.7071067811865476 0.7071067811865476"
+    turned = np.array([[0, -1, 0, -1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1.0]])
+    np.testing.assert_allclose(parse_pose(f"-1 2 3 {quaternion}"), turned, atol=1e-12)
+    np.testing.assert_allclose(parse_pose(f"-1, 2, 3, {quaternion.replace(' ', ', ')}"), turned, atol=1e-12)
+    np.save(tmp_path / "pose.npy", pose)
+    np.savetxt(tmp_path / "pose.txt", pose)
+    (tmp_path / "list.json").write_text(json.dumps(pose.tolist()))
+    (tmp_path / "bound.json").write_text(json.dumps({"pose": pose.tolist()}))
+    (tmp_path / "seven.txt").write_text(f"-1 2 3\n{quaternion}\n")
+    for name in ("pose.npy", "pose.txt", "list.json", "bound.json"):
+        np.testing.assert_allclose(parse_pose(str(tmp_path / name)), pose, atol=1e-12)
+    np.testing.assert_allclose(parse_pose(str(tmp_path / "seven.txt")), turned, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.txt", b"1 0 0 0 0 1 0 0"),
+        ("a.txt", b"one two"),
+        ("a.txt", b""),
+        ("a.txt", b"\xff\xfe\x00"),
+        ("a.txt", b"-1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"),
+        ("a.txt", b"2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1"),
+        ("a.npy", b"not numpy"),
+        ("a.npy", b""),
+        ("a.json", b"{"),
+        ("a.json", b"{}"),
+        ("a.json", b'"text"'),
+        ("a.json", b"[[1, 2], [3]]"),
+    ],
+)
+def test_bad_pose_file_is_named(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(PoseError, match=name):
+        parse_pose(str(tmp_path / name))
+
+
+def test_pose_that_is_a_folder_or_absurdly_long_is_refused(tmp_path):
+    with pytest.raises(PoseError):
+        parse_pose(str(tmp_path))
+    with pytest.raises(PoseError):
+        parse_pose("x" * 5000)

@@ -1,0 +1,172 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+import synthetic_view
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+from scipy.spatial.transform import Rotation
+
+from mitsuba_crb import page, plot
+from mitsuba_crb.export import pictures_of
+
+TURN = Rotation.from_euler("xyz", [20, 30, 10], degrees=True).as_matrix()
+
+
+def axes():
+    return Figure().add_subplot()
+
+
+def words(figure) -> str:
+    """Every text on a figure."""
+    return "\n".join(text.get_text() for text in figure.findobj(mpl.text.Text))
+
+
+def page_of(**options):
+    view = synthetic_view.jacobian(**options)
+    bound = synthetic_view.bound(view)
+    return bound, page.bound_figure(bound, pictures_of(view, bound.information))
+
+
+def test_render_maps_white_to_white_and_the_unmeasured_to_grey():
+    image = np.full((4, 4, 3), 0.5)
+    image[0, 0] = np.nan
+    shown = np.asarray(plot.draw_render(axes(), image).get_array())
+    np.testing.assert_allclose(shown[1:], 1.0)
+    assert 0 < shown[0, 0, 0] < 1
+
+
+def test_render_is_srgb():
+    image = np.ones((10, 10, 3))
+    image[0, 0] = 0.2140411  # linear value of sRGB 0.5
+    shown = np.asarray(plot.draw_render(axes(), image).get_array())
+    np.testing.assert_allclose(shown[0, 0], 0.5, atol=1e-5)
+
+
+@pytest.mark.parametrize("image", [np.zeros((3, 4, 3)), np.full((3, 4, 3), np.nan)])
+def test_black_and_unmeasured_images_can_be_drawn(image):
+    plot.draw_render(axes(), image)
+    plot.draw_column(axes(), image)
+    plot.draw_information(axes(), image[..., 0])
+
+
+def test_column_is_white_at_zero_with_symmetric_limits():
+    drawn = plot.draw_column(axes(), np.array([[[-3.0] * 3, [1.0] * 3, [0.0] * 3]]))
+    low, high = drawn.get_clim()
+    assert low == -high < 0
+    np.testing.assert_allclose(drawn.to_rgba(0.0)[:3], 1.0, atol=0.05)
+    red, _, blue, _ = drawn.to_rgba(high)
+    assert red > blue
+
+
+def test_information_map_sums_blocks_and_leaves_out_what_is_not_positive():
+    information = np.random.default_rng(0).random((20, 40))
+    information[:16, 32:] = -1.0
+    information[0, 0] = np.nan
+    drawn = np.asarray(plot.draw_information(axes(), information).get_array().filled(np.nan))
+    assert drawn.shape == (2, 3)
+    assert drawn[0, 0] == pytest.approx(np.nansum(information[:16, :16]))
+    assert drawn[1, 2] == pytest.approx(information[16:, 32:].sum())
+    assert np.isnan(drawn[0, 2])
+
+
+@pytest.mark.parametrize("plane", [(0, 1), (0, 2), (1, 2)])
+def test_ellipse_is_the_shadow_of_the_ellipsoid(plane):
+    lengths = np.array([3.0, 2.0, 0.5])
+    drawn = plot.draw_ellipse(axes(), lengths, TURN, plane, reach=4.0)
+    outline = drawn[1].get_xy()
+    covariance = (TURN * lengths**2 @ TURN.T)[np.ix_(plane, plane)]
+    level = np.einsum("ni,ij,nj->n", outline, np.linalg.inv(covariance), outline)
+    np.testing.assert_allclose(level, 1.0, rtol=1e-9)
+    # the shadow of a 1σ ellipsoid is as wide as the marginal standard deviation
+    np.testing.assert_allclose(outline.max(axis=0), np.sqrt(np.diag(covariance)), rtol=1e-3)
+
+
+def test_unseen_axis_becomes_a_band_along_it_as_wide_as_the_rest():
+    ax = axes()
+    plot.draw_ellipse(ax, np.array([np.inf, 2.0, 0.5]), np.eye(3), (0, 1), reach=4.0)
+    band = ax.patches[0].get_xy()
+    assert set(np.round(np.abs(band[:, 1]), 9)) == {2.0}
+    assert np.abs(band[:, 0]).min() > 4.0
+    assert "unseen" in words(ax)
+
+
+def test_unseen_axis_across_the_plane_leaves_its_picture_finite():
+    ax = axes()
+    plot.draw_ellipse(ax, np.array([np.inf, 2.0, 0.5]), np.eye(3), (1, 2), reach=4.0)
+    assert np.abs(ax.patches[0].get_xy()).max() == pytest.approx(2.0)
+    assert "unseen" not in words(ax)
+
+
+def test_plane_that_is_unseen_everywhere_is_filled_and_says_so():
+    ax = axes()
+    plot.draw_ellipse(ax, np.array([np.inf, np.inf, 0.5]), np.eye(3), (0, 1), reach=4.0)
+    assert np.abs(ax.patches[0].get_xy()).min() > 4.0
+    assert "unseen" in words(ax)
+
+
+def test_ellipsoid_panels_share_one_scale_and_follow_sigma():
+    bound = synthetic_view.bound(synthetic_view.jacobian())
+    extents = []
+    for sigma in (1.0, 2.0):
+        panels = [axes() for _ in range(3)]
+        plot.draw_ellipsoid(panels, bound, "position", sigma=sigma)
+        assert len({ax.get_xlim() for ax in panels} | {ax.get_ylim() for ax in panels}) == 1
+        assert all(ax.get_aspect() == 1.0 for ax in panels)
+        unit = float(f"1e{panels[0].get_xlabel().split('{')[1].split('}')[0]}")
+        extents.append(unit * panels[0].patches[0].get_xy()[:, 0].max())
+    assert extents[0] == pytest.approx(bound.position_std[0], rel=1e-3)
+    assert extents[1] == pytest.approx(2 * extents[0], rel=1e-6)
+
+
+def test_page_names_what_it_shows():
+    _, figure = page_of()
+    text = words(figure)
+    for word in ("relief", "Render", "Fisher information", "1σ", "world axes", "camera axes", "rank 6 of 6"):
+        assert word in text
+    for symbol in (r"\rho", r"\varphi"):
+        for axis in "xyz":
+            assert rf"\partial {symbol}_{axis}" in text
+    assert "radiance / scene unit" in text
+    assert "radiance / rad" in text
+    assert "unseen" not in text
+    assert len(figure.findobj(mpl.image.AxesImage)) >= 8
+
+
+def test_page_says_unseen_where_the_bound_is_infinite():
+    bound, figure = page_of(unseen=(1, 5), noise=0.05)
+    assert bound.rank == 4
+    assert words(figure).count("unseen") >= 6
+
+
+def test_page_of_an_image_without_information_shows_none_of_it():
+    bound, figure = page_of(unseen=(0, 1, 2, 3, 4, 5))
+    assert bound.rank == 0
+    assert "none" in words(figure)
+
+
+@pytest.mark.parametrize("kind", ["random", "only"])
+def test_page_of_a_subset_names_it(kind):
+    _, figure = page_of(kind=kind, fraction=0.2)
+    assert f"{kind}:x of them" in words(figure)
+
+
+def test_plotting_touches_no_global_state(tmp_path):
+    before = dict(mpl.rcParams)
+    view = synthetic_view.jacobian()
+    bound = synthetic_view.bound(view)
+    path = tmp_path / "page.png"
+    page.write_plot(path, bound, pictures_of(view, bound.information))
+    assert dict(mpl.rcParams) == before
+    height, width, _ = imread(path).shape
+    assert width > 1500
+    assert height > 900
+
+
+def test_pyplot_is_never_imported():
+    code = "import sys, mitsuba_crb.page; sys.exit('matplotlib.pyplot' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
