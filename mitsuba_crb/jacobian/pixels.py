@@ -66,7 +66,7 @@ def lane_sampler(pixel: mi.UInt32, batch: mi.UInt32, seed: int, purpose: int = 0
     salt = dr.opaque(mi.UInt32, (purpose + 0x9E3779B9 * ((seed >> 32) + 1)) & 0xFFFFFFFF)
     state = mi.sample_tea_64(pixel, key)
     stream = mi.sample_tea_64(batch ^ salt, pixel)
-    return _sampler_class()(mi.PCG32(dr.width(pixel), state, stream))
+    return _sampler_class()(mi.PCG32(1, state, stream))
 
 
 @dataclass(frozen=True)
