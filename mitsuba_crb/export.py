@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import secrets
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -34,6 +35,7 @@ COLUMN_NAMES = ("dI_drho_x", "dI_drho_y", "dI_drho_z", "dI_dphi_x", "dI_dphi_y",
 """EXR layers of the six Jacobian columns, in twist order: translation [radiance / scene unit], then
 rotation [radiance / rad]. The channels of a layer are `R`, `G`, `B`, as in `dI_drho_x.R`."""
 
+_BREAK = re.compile(r",\n\s*")
 _PROVENANCE_KEYS = (
     "scene",
     "defines",
@@ -245,6 +247,8 @@ def _plain(value: Any) -> Any:
 def write_json(path: Path, document: Mapping[str, Any]) -> None:
     """Write `document`, which holds no infinity and no NaN (see `bound_document`), as UTF-8 JSON."""
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    # innermost lists on one line, so that a matrix looks like one; JSON strings hold no raw line breaks
+    text = re.sub(r"\[\n\s*([^\[\]{}]*?)\n\s*\]", lambda found: f"[{re.sub(_BREAK, ', ', found[1])}]", text)
     with atomic(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 

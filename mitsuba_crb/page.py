@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import ScalarFormatter
+from matplotlib.ticker import FuncFormatter
 
 from .export import Pictures, atomic
-from .information import BLOCK
 from .plot import (
     AXIS_NAMES,
+    MAP_BLOCK,
     MUTED,
     column_limit,
     draw_column,
@@ -75,7 +75,7 @@ def bound_figure(bound: PoseBound, pictures: Pictures, *, sigma: float = 1.0) ->
         image, columns = _filled(image), _filled(columns)
     draw_render(grid[0][0], image)
     _caption(grid[0][0], "Render", "sRGB, white at the 99th percentile", wide)
-    _caption(grid[1][0], "Fisher information", f"trace per {BLOCK}×{BLOCK} block", wide)
+    _caption(grid[1][0], "Fisher information", f"trace per {MAP_BLOCK}×{MAP_BLOCK} block", wide)
     if bound.rank:
         drawn = draw_information(grid[1][0], pictures.information)
         figure.colorbar(drawn, cax=place_bar(0, 1)).ax.tick_params(which="both", labelsize=8)
@@ -111,12 +111,14 @@ def _caption(ax: Axes, name: str, explanation: str, wide: float) -> None:
 
 
 def _signed_bar(figure: Figure, drawn: AxesImage, cax: Axes, label: str) -> None:
-    formatter = ScalarFormatter(useMathText=True)
-    formatter.set_powerlimits((-2, 3))
-    bar = figure.colorbar(drawn, cax=cax, format=formatter, extend="both", extendfrac=0.03)
+    # the power of ten goes into the label: matplotlib would put it where the next caption is
+    limit = float(drawn.get_clim()[1])
+    exponent = int(np.floor(np.log10(limit)))
+    exponent = exponent if abs(exponent) > 2 else 0
+    bar = figure.colorbar(drawn, cax=cax, extend="both", extendfrac=0.03)
+    bar.formatter = FuncFormatter(lambda value, _: f"{value / 10.0**exponent:.3g}".replace("-", "−"))
     bar.ax.tick_params(labelsize=8)
-    bar.ax.yaxis.get_offset_text().set(fontsize=8)
-    bar.set_label(label, fontsize=9)
+    bar.set_label(rf"$10^{{{exponent}}}$ {label}" if exponent else label, fontsize=9)
 
 
 def _filled(values: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[Any]]:

@@ -13,9 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.colors import LogNorm
 from matplotlib.patches import Polygon
-from matplotlib.ticker import MaxNLocator
-
-from .information import BLOCK
+from matplotlib.ticker import MaxNLocator, NullLocator
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -23,6 +21,9 @@ if TYPE_CHECKING:
     from matplotlib.image import AxesImage
 
     from .bound import PoseBound
+
+MAP_BLOCK = 16
+"""Side of the blocks of the information map [pixel]."""
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # ITU-R BT.709, of linear RGB
 _UNMEASURED = "#c9c9c9"
@@ -65,15 +66,15 @@ def draw_column(ax: Axes, column: npt.NDArray[np.floating[Any]], *, limit: float
 
 
 def column_limit(columns: npt.NDArray[np.floating[Any]]) -> float:
-    """The 99.5th percentile of the columns' absolute luminance, (H, W, 3, n) -> scalar; 1 where all is 0."""
+    """The 99th percentile of the columns' absolute luminance, (H, W, 3, n) -> scalar; 1 where all is 0."""
     magnitude = np.abs(np.moveaxis(columns, -1, 0) @ _LUMINANCE)
     magnitude = magnitude[np.isfinite(magnitude)]
-    limit = float(np.percentile(magnitude, 99.5)) if magnitude.size else 0.0
+    limit = float(np.percentile(magnitude, 99)) if magnitude.size else 0.0
     return limit or float(magnitude.max(initial=0.0)) or 1.0
 
 
 def draw_information(
-    ax: Axes, information: npt.NDArray[np.floating[Any]], *, block: int = BLOCK
+    ax: Axes, information: npt.NDArray[np.floating[Any]], *, block: int = MAP_BLOCK
 ) -> AxesImage:
     """The trace of the scaled Fisher information of every block of pixels, on a logarithmic scale.
 
@@ -175,8 +176,8 @@ def draw_ellipsoid(
         ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
         ax.axhline(0, color=MUTED, linewidth=0.5, alpha=0.5, zorder=0)
         ax.axvline(0, color=MUTED, linewidth=0.5, alpha=0.5, zorder=0)
-        ax.xaxis.set_major_locator(MaxNLocator(4, symmetric=True))
-        ax.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
+        for ruler in (ax.xaxis, ax.yaxis):  # no numbers where everything is unseen: there is no scale
+            ruler.set_major_locator(MaxNLocator(4, symmetric=True) if extent > 0 else NullLocator())
         ax.tick_params(labelsize=8, colors=MUTED)
         for spine in ax.spines.values():
             spine.set(color=MUTED, linewidth=0.6)

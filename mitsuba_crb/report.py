@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from .doctor import Diagnosis
     from .validation import JacobianCheck
 
-_POSITION = ("position x", "position y", "position z")
-_ROTATION = ("pitch (about x)", "yaw (about y)", "roll (about z)")
+_POSITION = ("position x, world", "position y, world", "position z, world")
+_ROTATION = ("pitch, about camera x", "yaw, about camera y", "roll, about camera z")
 _UNSEEN = "∞ (unseen)"
 
 
@@ -30,14 +30,15 @@ def print_bound(console: Console, bound: PoseBound) -> None:
     facts = bound.provenance
     width, height = facts["size"]
     _line(console, Text(Path(str(facts["scene"])).name, style="bold"), f"  {width}×{height} pixels")
+    _line(console, "No unbiased estimator of this camera's pose has smaller standard deviations than these:")
     table = _table()
-    table.add_column("no unbiased estimator does better than (1σ)")
-    table.add_column("bound", justify="right")
-    table.add_column("± std. error", justify="right")
+    table.add_column("")
+    table.add_column("1σ bound", justify="right")
+    table.add_column("± its error", justify="right")
     table.add_column("unit")
     groups = (
-        (_POSITION, bound.position_std, bound.position_std_standard_error, "scene unit, world axis"),
-        (_ROTATION, bound.rotation_std_deg, bound.rotation_std_deg_standard_error, "deg, camera axis"),
+        (_POSITION, bound.position_std, bound.position_std_standard_error, "scene unit"),
+        (_ROTATION, bound.rotation_std_deg, bound.rotation_std_deg_standard_error, "deg"),
     )
     for names, deviations, errors, unit in groups:
         for name, deviation, error in zip(names, deviations, errors, strict=True):
@@ -71,9 +72,14 @@ def _bound_facts(bound: PoseBound) -> list[tuple[str, str]]:
     rows.append(("length scale", _length_scale(bound.length_scale)))
     rows.append(("noise", _noise(facts["noise"])))
     inflation = facts.get("noise_inflation")
-    if inflation is not None and math.isfinite(inflation):
-        claim = f"{100 * abs(inflation):.2g} % {'more' if inflation >= 0 else 'less'}"
-        rows.append(("Monte Carlo noise", f"removed; plain JᵀWJ would have claimed {claim} information"))
+    if inflation is not None:
+        if math.isinf(inflation):
+            claim = "information where there is none"
+        elif inflation >= 1:
+            claim = f"{1 + inflation:.3g} times the information"
+        else:
+            claim = f"{100 * abs(inflation):.2g} % {'more' if inflation >= 0 else 'less'} information"
+        rows.append(("Monte Carlo noise", f"removed; plain JᵀWJ would have claimed {claim}"))
     rows.append(("pixels", _pixels(facts["pixels"])))
     rows.append(
         (
@@ -87,7 +93,9 @@ def _bound_facts(bound: PoseBound) -> list[tuple[str, str]]:
 
 
 def _length_scale(length: float) -> str:
-    return f"{length:.4g} scene units (median visible depth; 1 if nothing finite is visible)"
+    if length == 1.0:
+        return "1 scene unit (nothing at a finite distance is visible, or its median depth is 1)"
+    return f"{length:.4g} scene units (median visible depth)"
 
 
 def _noise(noise: dict[str, Any]) -> str:
