@@ -1,0 +1,137 @@
+"""All edges of all meshes of a scene, and which of them a camera can see as contours.
+
+An edge is a contour from the camera centre c if all faces around it lie on the same side of the plane through
+c and the edge: it is open, or the surface folds there. Which side a face lies on follows from the side of its
+own plane that c stands on, so neither winding nor closedness matters. Vertices are welded by position: split
+vertices would otherwise make every seam an open edge. NumPy, float64. Source: design section 4.1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_DEGENERATE = 1e-10
+"""Height over length below which a face has no area: far below what float32 positions resolve."""
+
+
+@dataclass(frozen=True)
+class EdgeTable:
+    """All edges of all meshes of a scene, whatever the camera."""
+
+    ends: Floats
+    """(E, 2, 3) end points, in the world [scene unit]."""
+    first: Ints
+    """(E + 1,) where each edge's half-edges start; an edge has one half-edge per face around it."""
+    half_face: Ints
+    """(H,) face of each half-edge."""
+    half_sign: NDArray[np.int8]
+    """(H,) +1 where the face lists the edge from `ends[:, 0]` to `ends[:, 1]`, −1 otherwise."""
+    normals: Floats
+    """(F, 3) face normals, of length twice the area [scene unit²]."""
+    points: Floats
+    """(F, 3) a vertex of each face [scene unit]."""
+    open_edges: Ints
+    """(faces given, 3) the open edges of each face, −1 in place of others."""
+    dropped: int
+    """Faces left out: without area, or not finite."""
+
+    @staticmethod
+    def of(vertices: NDArray[np.float32], faces: Ints) -> EdgeTable:
+        """Weld vertices of equal position, drop faces without area, and gather the faces around each edge.
+
+        Args:
+            vertices: (V, 3) positions of all meshes in the world [scene unit].
+            faces: (F, 3) their vertices.
+        """
+        weld, positions = _weld(vertices)
+        corner = positions[weld[faces]]
+        with np.errstate(invalid="ignore", over="ignore"):
+            normals = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+            longest = np.max(np.sum((corner - np.roll(corner, 1, axis=1)) ** 2, axis=2), axis=1, initial=0.0)
+            kept = np.linalg.norm(normals, axis=1) > _DEGENERATE * longest
+        kept &= np.isfinite(corner).all(axis=(1, 2))
+        face = np.flatnonzero(kept)
+        start = weld[faces[face]].ravel()
+        end = np.roll(weld[faces[face]], -1, axis=1).ravel()
+        key = np.minimum(start, end) * len(positions) + np.maximum(start, end)
+        order = np.argsort(key, kind="stable")
+        unique, first = np.unique(key[order], return_index=True)
+        first = np.append(first, len(key))
+        count = np.diff(first)
+        open_edges = np.full((len(faces), 3), -1)
+        alone = order[first[:-1][count == 1]]
+        open_edges[face[alone // 3], alone % 3] = np.flatnonzero(count == 1)
+        return EdgeTable(
+            ends=positions[np.stack([unique // len(positions), unique % len(positions)], axis=1)],
+            first=first,
+            half_face=order // 3,
+            half_sign=np.where(start < end, 1, -1).astype(np.int8)[order],
+            normals=normals[face],
+            points=corner[face, 0],
+            open_edges=open_edges,
+            dropped=len(faces) - len(face),
+        )
+
+    def sides(self, edges: Ints, centre: Floats) -> NDArray[np.int8]:
+        """On which side of the plane through camera and edge the faces around it lie.
+
+        The sign is that of det(e₀ − c, e₁ − c, o − c), o the face's third vertex, which is the side of the
+        face's own plane that the camera c stands on: one sign per face, so the three edges of a face agree
+        however nearly edge-on it is.
+
+        Args:
+            edges: (n,) indices.
+            centre: (n, 3) a camera centre for each, in the world.
+
+        Returns:
+            (n,) +1 or −1 if all faces lie on that side; 0 if on both, so that the edge is no contour.
+        """
+        low = np.full(len(edges), 1, dtype=np.int8)
+        high = np.full(len(edges), -1, dtype=np.int8)
+        start, count = self.first[edges], np.diff(self.first)[edges]
+        for j in range(int(count.max(initial=0))):
+            has = np.flatnonzero(count > j)
+            half = start[has] + j
+            face = self.half_face[half]
+            height = np.einsum("ij,ij->i", self.normals[face], self.points[face] - centre[has])
+            sign = np.where(height >= 0.0, self.half_sign[half], -self.half_sign[half])
+            low[has], high[has] = np.minimum(low[has], sign), np.maximum(high[has], sign)
+        return np.where(low == high, low, np.int8(0))
+
+    def candidates(self, centre: Floats, axis: Floats, lens_radius: float) -> Ints:
+        """Edges that are a contour from some point of a lens; of a pinhole's (radius 0): its contours.
+
+        Args:
+            centre: (3,) the lens' centre in the world.
+            axis: (3,) the optical axis in the world.
+        """
+        height = np.einsum("ij,ij->i", self.normals, self.points - centre)
+        across = self.normals - np.outer(self.normals @ axis, axis)
+        reach = lens_radius * np.linalg.norm(across, axis=1) if lens_radius > 0.0 else np.zeros(len(height))
+        sign = np.where(height >= 0.0, 1, -1).astype(np.int8)
+        sign[np.abs(height) < reach] = 0  # either side, depending on the lens point
+        half = sign[self.half_face] * self.half_sign
+        if not len(half):
+            return np.empty(0, dtype=np.int64)
+        both = (np.minimum.reduceat(half, self.first[:-1]) < 0) & (
+            np.maximum.reduceat(half, self.first[:-1]) > 0
+        )
+        return np.flatnonzero(~both)
+
+
+def _weld(vertices: NDArray[np.float32]) -> tuple[Ints, Floats]:
+    """One index per distinct position (exact), and the positions."""
+    if not len(vertices):
+        return np.empty(0, dtype=np.int64), np.empty((0, 3))
+    bits = np.ascontiguousarray(vertices + np.float32(0.0)).view(np.uint32).astype(np.uint64)  # −0 is 0
+    _, column = np.unique(bits[:, 0] << np.uint64(32) | bits[:, 1], return_inverse=True)
+    _, index, weld = np.unique(
+        column.astype(np.uint64) << np.uint64(32) | bits[:, 2], return_index=True, return_inverse=True
+    )
+    return weld.astype(np.int64), vertices[index].astype(np.float64)
