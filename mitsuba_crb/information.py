@@ -33,7 +33,7 @@ from .noise import NoiseModel
 from .se3 import Array, Frame
 
 BLOCK = 16
-"""Side [pixels] of the film blocks, on a fixed grid (x // 16, y // 16), whose errors are independent."""
+"""Side [pixel] of the film blocks, on a fixed grid (x // 16, y // 16), whose pixels may share samples."""
 
 MINIMUM_BATCHES = 4
 """Two disjoint pairs of batches are needed to estimate the variance without bias."""
@@ -79,6 +79,8 @@ class ImageJacobian:
     """Median visible depth [scene unit]; 1 if nothing finite is visible."""
     variable: str
     """The camera's name."""
+    block: int = 1
+    """Side [pixel] of the film blocks whose Monte Carlo errors are independent; 1: every pixel's own."""
     provenance: dict[str, Any] = field(default_factory=dict)
     """How it was computed, JSON-able."""
 
@@ -260,16 +262,17 @@ class FisherInformation:
 class InformationAccumulator:
     """Streams the information of an image, block by block; the tiles' sizes and order do not matter.
 
-    Every call adds whole blocks: all selected pixels of one 16 x 16 block of the film (`BLOCK`) must come in
-    the same call, because the variance is estimated per block. Tiles with sides that are multiples of 16
-    satisfy this.
+    Every call adds whole blocks: all selected pixels of one block of the film must come in the same call,
+    because the variance is estimated per block. Tiles with sides that are multiples of `BLOCK` satisfy this.
     """
 
-    def __init__(self, *, batches: int, sampled: bool = False) -> None:
+    def __init__(self, *, batches: int, block: int = 1, sampled: bool = False) -> None:
         """Start from nothing.
 
         Args:
             batches: K ≥ 4, independent estimates per pixel.
+            block: side [pixel] of the film blocks whose errors are independent of one another. The smaller,
+                the more certain the standard errors.
             sampled: also sum what the sampling variance of a random pixel subset needs (slower).
 
         Raises:
@@ -278,6 +281,7 @@ class InformationAccumulator:
         if batches < MINIMUM_BATCHES:
             raise OptionError(f"batches must be at least {MINIMUM_BATCHES}, not {batches}")
         self._batches = batches
+        self._block = block
         self._sampled = sampled
         self._blocks: set[int] = set()
         self._count = 0
@@ -307,21 +311,36 @@ class InformationAccumulator:
         if len(positions) == 0:
             return
         order, starts = self._order(positions)
+        if not np.isfinite(values).all():
+            bad = int(np.count_nonzero(~np.isfinite(values).all(axis=(0, 2, 3))))
+            raise RadianceError(f"the Jacobian is not finite at {bad} of {len(positions)} pixels")
         root = np.sqrt(precision)
+        self._count += len(positions)
+        mean = np.multiply(values.mean(axis=0), root[:, :, None])[order]
+        self._plain += _gram(mean.reshape(-1, 6))
+        if self._block > 1:
+            self._add_blocks(values, root, order, starts)
+        if self._block == 1 or self._sampled:
+            self._add_pixels(values, root, order)
+
+    def _add_blocks(self, values: Array, root: Array, order: NDArray[np.intp], starts: list[int]) -> None:
         grams = np.empty((len(starts) - 1, 6 * self._batches, 6 * self._batches))
         for gram, (start, stop) in zip(grams, pairwise(starts), strict=True):
             gram[...] = _gram(_whiten(values, root, order[start:stop]).reshape(-1, 6 * self._batches))
-        if not np.isfinite(grams).all():
-            bad = int(np.count_nonzero(~np.isfinite(values).all(axis=(0, 2, 3))))
-            raise RadianceError(f"the Jacobian is not finite at {bad} of {len(positions)} pixels")
         products = grams.reshape(-1, self._batches, 6, self._batches, 6)
         means, covariance = _u_statistics(_block_products(products), self._batches)
-        self._count += len(positions)
         self._sum += means.sum(axis=1)
         self._covariance += covariance
-        self._plain += products.sum(axis=(0, 1, 3)) / self._batches**2
-        if self._sampled:
-            self._add_pixels(values, root, order)
+
+    def _add_pixels(self, values: Array, root: Array, order: NDArray[np.intp]) -> None:
+        for start in range(0, len(order), _CHUNK):
+            whitened = _whiten(values, root, order[start : start + _CHUNK])
+            means, covariance = _u_statistics(_pixel_products(whitened), self._batches)
+            if self._block == 1:
+                self._sum += means.sum(axis=1)
+                self._covariance += covariance
+            if self._sampled:
+                self._pixel_products += means @ means.T - covariance
 
     def information(
         self, *, frame: Frame, variable: str, pose: ArrayLike, length_scale: float, selection: PixelSelection
@@ -366,27 +385,23 @@ class InformationAccumulator:
         square_of_sum = np.outer(self._sum, self._sum) - self._covariance
         return (self._pixel_products - square_of_sum / n) / (n - 1)
 
-    def _add_pixels(self, values: Array, root: Array, order: NDArray[np.intp]) -> None:
-        for start in range(0, len(order), _CHUNK):
-            whitened = _whiten(values, root, order[start : start + _CHUNK])
-            means, covariance = _u_statistics(_pixel_products(whitened), self._batches)
-            self._pixel_products += _gram(means.T) - covariance
-
     def _order(self, pixels: NDArray[np.integer]) -> tuple[NDArray[np.intp], list[int]]:
         """Sort by block, then by pixel, so that the sums do not depend on the order given."""
         x, y = pixels.astype(np.int64).T
-        block = (y // BLOCK << 32) | (x // BLOCK)
+        block = (y // self._block << 32) | (x // self._block)
         order = np.lexsort((x, y, block))
         x, y, block = x[order], y[order], block[order]
         if np.any((np.diff(x) == 0) & (np.diff(y) == 0)):
             raise PixelsError("a pixel was given twice in one call")
         starts = np.flatnonzero(np.diff(block, prepend=-1))
-        blocks = {int(block[s]) for s in starts}
-        if not self._blocks.isdisjoint(blocks):
-            raise PixelsError(
-                f"a {BLOCK} x {BLOCK} block came in two calls; use tile sides that are multiples of {BLOCK}"
-            )
-        self._blocks |= blocks
+        if self._block > 1:
+            blocks = {int(block[s]) for s in starts}
+            if not self._blocks.isdisjoint(blocks):
+                side = self._block
+                raise PixelsError(
+                    f"a {side} x {side} block came in two calls; use tile sides that are multiples of {side}"
+                )
+            self._blocks |= blocks
         return order, [*starts.tolist(), len(order)]
 
     def _check(self, values: Array, weights: Array, pixels: NDArray[Any]) -> None:
@@ -416,7 +431,7 @@ def fisher_information(jacobian: ImageJacobian, noise: NoiseModel) -> FisherInfo
     noise.check(*jacobian.image.shape)
     camera = jacobian.to_frame("camera")
     accumulator = InformationAccumulator(
-        batches=len(camera.batch_values), sampled=camera.selection.kind == "random"
+        batches=len(camera.batch_values), block=camera.block, sampled=camera.selection.kind == "random"
     )
     accumulator.add(camera.batch_values, noise.weights(camera.pixels, camera.mean), camera.pixels)
     information = accumulator.information(

@@ -15,6 +15,7 @@ import importlib.metadata
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -115,6 +116,7 @@ def pose_jacobian(
             selection=run.selection,
             length_scale=run.length_scale,
             variable=run.view.variable,
+            block=run.block,
             provenance=run.provenance(),
         )
 
@@ -173,7 +175,9 @@ def pose_bound(
             model.check(mask.shape[0], mask.shape[1], 3)
             run.warn_of_limits()
             prepared = time.perf_counter()
-            accumulator = InformationAccumulator(batches=batches, sampled=run.selection.kind == "random")
+            accumulator = InformationAccumulator(
+                batches=batches, block=run.block, sampled=run.selection.kind == "random"
+            )
             for part in run.tiles(mask, drop_invalid, on_tile):
                 accumulator.add(part.batch_values, model.weights(part.pixels, part.mean), part.pixels)
             information = accumulator.information(
@@ -226,6 +230,15 @@ class _Measurement:
     step_pixels: float
     length_scale: float
     selection: PixelSelection
+
+    @property
+    def block(self) -> int:
+        """Side of the film blocks whose errors are independent [pixel]."""
+        return int(self._method.BLOCK)
+
+    @property
+    def _method(self) -> ModuleType:
+        return importlib.import_module(f".jacobian.{self.method}", __package__)
 
     def provenance(self) -> dict[str, Any]:
         """How the numbers were made, JSON-able."""
@@ -295,11 +308,10 @@ class _Measurement:
         self, mask: NDArray[np.bool_], drop_invalid: bool, on_tile: Progress | None
     ) -> Iterator[TileJacobian]:
         """The Jacobian, one tile after the other."""
-        method = importlib.import_module(f".jacobian.{self.method}", __package__)
         steps = {"step_pixels": self.step_pixels} if self.method == "finite_difference" else {}
         done, total, invalid = 0, int(mask.sum()), 0
         for part in subset.tiles(mask, self.tile):
-            values, primal = method.jacobian(
+            values, primal = self._method.jacobian(
                 self.view,
                 part,
                 spp=self.spp,

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from .errors import PixelsError
 from .information import PixelSelection
@@ -52,7 +53,7 @@ def choose(
         if rule == "random":
             ranking = np.random.default_rng(seed).permutation(whole.total)
         else:
-            ranking = np.argsort(-_squared_gradient(pilot_image()).ravel(), kind="stable")
+            ranking = np.argsort(-_gradient(pilot_image()).ravel(), kind="stable")
         mask = np.zeros(whole.total, dtype=bool)
         mask[ranking[:count]] = True
         return mask.reshape(height, width), PixelSelection(
@@ -62,11 +63,10 @@ def choose(
     return mask, PixelSelection("only", whole.total, int(mask.sum()), description)
 
 
-def _squared_gradient(image: NDArray[np.float64]) -> NDArray[np.float64]:
-    padded = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="edge")
-    along_x = padded[1:-1, 2:] - padded[1:-1, :-2]
-    along_y = padded[2:, 1:-1] - padded[:-2, 1:-1]
-    return np.asarray(np.sum(along_x**2 + along_y**2, axis=2))
+def _gradient(image: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Squared image gradient at the scale of one pixel, where a pilot's noise does not outweigh it."""
+    magnitude = ndimage.gaussian_gradient_magnitude(image, sigma=1.0, axes=(0, 1), mode="nearest")
+    return np.asarray(np.sum(magnitude**2, axis=2))
 
 
 def _parse_fraction(text: str, total: int) -> tuple[str, int]:

@@ -33,7 +33,7 @@ def camera(
     }
 
 
-def texture(seed: int = 0, cells: int = 8, filter_type: str = "bilinear") -> dict[str, Any]:
+def texture(seed: int = 0, cells: int = 32, filter_type: str = "bilinear") -> dict[str, Any]:
     """A random bitmap."""
     values = np.random.default_rng(seed).uniform(0.1, 0.9, (cells, cells, 3)).astype(np.float32)
     return {"type": "bitmap", "bitmap": mi.Bitmap(values), "raw": True, "filter_type": filter_type}

@@ -119,7 +119,7 @@ def test_finite_differences_halve_their_bias_fourfold() -> None:
 
 
 def test_camera_frame_information_moves_to_the_world_like_left_perturbations() -> None:
-    """F from renders at exp(ξ)·x equals the transported F; equal random numbers, so to 1 % of √(F_ii F_jj)."""
+    """F from renders at exp(ξ)·x equals the transported F; equal random numbers: 1 % of √(F_ii F_jj)."""
     sensor = camera(origin=(0.5, -0.3, 0.4), target=(0.2, 0.1, 3))
     right = pose_jacobian(textured_wall(sensor=sensor), method="finite_difference", spp=64, seed=5)
     transported = fisher_information(right, SIGMA).to_frame("world").matrix

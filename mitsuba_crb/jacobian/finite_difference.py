@@ -21,6 +21,8 @@ from .pixels import render_pixels
 if TYPE_CHECKING:
     from ..scene import View
 
+BLOCK = 1
+"""Side of the film blocks whose errors are independent [pixel]: every pixel has its own samples."""
 STEP_PIXELS = 0.15
 """Image motion of one step [pixel]."""
 

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from ..scene import View
 
 
+BLOCK = 1
+"""Side of the film blocks whose errors are independent [pixel]: every pixel has its own samples."""
 MAX_LANES = 1 << 18
 """Paths per kernel launch; bounds the memory."""
 

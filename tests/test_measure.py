@@ -1,0 +1,282 @@
+"""From scene to bound: unbiased, covered, indifferent to tiles, honest about bad input."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from PIL import Image
+from small_scenes import T, camera, scene, texture, textured_wall, wall
+
+from mitsuba_crb import cramer_rao_bound, fisher_information, pose_bound, pose_jacobian, se3
+from mitsuba_crb.errors import NoiseError, OptionError, PixelsError, RadianceError
+from mitsuba_crb.lint import precision_findings
+from mitsuba_crb.noise import Gaussian, PerPixel
+from mitsuba_crb.scene import open_view
+
+# Few samples on small images: that standard errors exceed 10 % is expected.
+pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")
+
+SIGMA = Gaussian(0.01)
+DIRECT = {"type": "direct", "emitter_samples": 0, "bsdf_samples": 1}
+FAST = {"method": "finite_difference", "spp": 8}
+
+
+def _same(a: Any, b: Any) -> None:
+    scale = np.sqrt(np.diag(a.matrix))
+    assert np.abs((a.matrix - b.matrix) / np.outer(scale, scale)).max() < 1e-12
+    assert a.covariance_of_entries == pytest.approx(
+        b.covariance_of_entries, abs=1e-9 * np.abs(b.covariance_of_entries).max()
+    )
+
+
+def test_streaming_equals_assembling_and_calls_repeat_bit_for_bit() -> None:
+    bound = pose_bound(textured_wall(), SIGMA, **FAST)
+    again = pose_bound(textured_wall(), SIGMA, **FAST)
+    jacobian = pose_jacobian(textured_wall(), **FAST)
+    assert np.array_equal(bound.information.matrix, again.information.matrix)
+    assert np.array_equal(jacobian.batch_values, pose_jacobian(textured_wall(), **FAST).batch_values)
+    _same(bound.information, fisher_information(jacobian, SIGMA))
+    assert jacobian.values.shape == (32 * 24, 3, 6)
+    assert jacobian.values.dtype == np.float64
+    assert jacobian.image.shape == (24, 32, 3)
+    assert np.isfinite(jacobian.image).all()
+
+
+def test_tiles_and_pixel_order_do_not_change_the_result() -> None:
+    whole = pose_bound(textured_wall(), SIGMA, size=(40, 35), **FAST).information
+    for tile in (16, 32):
+        _same(pose_bound(textured_wall(), SIGMA, size=(40, 35), tile=tile, **FAST).information, whole)
+    jacobian = pose_jacobian(textured_wall(), size=(40, 35), **FAST)
+    order = np.random.default_rng(0).permutation(len(jacobian.pixels))
+    shuffled = dataclasses.replace(
+        jacobian, batch_values=jacobian.batch_values[:, order], pixels=jacobian.pixels[order]
+    )
+    _same(fisher_information(shuffled, SIGMA), whole)
+
+
+def test_a_mask_sees_only_its_pixels_and_two_halves_add_up(tmp_path: Path) -> None:
+    left = np.zeros((24, 32), dtype=bool)
+    left[:, :16] = True
+    halves = [pose_bound(textured_wall(), SIGMA, pixels=mask, **FAST).information for mask in (left, ~left)]
+    whole = pose_bound(textured_wall(), SIGMA, **FAST).information
+    total = halves[0] + halves[1]
+    assert total.matrix == pytest.approx(whole.matrix, abs=1e-9 * np.abs(whole.matrix).max())
+    path = tmp_path / "left.png"
+    Image.fromarray((left * 255).astype(np.uint8)).save(path)
+    from_file = pose_bound(textured_wall(), SIGMA, pixels=str(path), **FAST)
+    _same(from_file.information, halves[0])
+    assert from_file.provenance["pixels"] == {
+        "kind": "only",
+        "total": 768,
+        "selected": 384,
+        "description": "left.png",
+    }
+
+
+def test_gradient_pixels_carry_more_than_their_share() -> None:
+    squares = scene(wall=wall({"type": "checkerboard", "to_uv": T().scale(4)}))
+    whole, rich = (
+        pose_bound(squares, SIGMA, pixels=pixels, method="finite_difference", spp=32).information
+        for pixels in ("all", "gradient:0.25")
+    )
+    assert np.all(np.diag(rich.matrix) > 0.5 * np.diag(whole.matrix))
+    assert np.all(np.diag(rich.matrix) < 1.01 * np.diag(whole.matrix))
+
+
+def test_random_pixels_estimate_the_whole_image() -> None:
+    """Each of 6 diagonal entries within 4 of its standard errors, which hold the sampling variance."""
+    whole = pose_bound(textured_wall(), SIGMA, **FAST).information
+    part = pose_bound(textured_wall(), SIGMA, pixels="random:0.25", seed=3, method="finite_difference", spp=8)
+    error = np.diag(part.information.standard_error)
+    assert np.all(np.abs(np.diag(part.information.matrix - whole.matrix)) < 4 * error)
+    assert np.all(error > 3 * np.diag(whole.standard_error))
+    every = pose_bound(textured_wall(), SIGMA, pixels="random:1", **FAST).information
+    _same(every, whole)
+
+
+def test_noise_scales_the_bound_and_sigma_has_a_stated_default() -> None:
+    one = pose_bound(textured_wall(), SIGMA, **FAST)
+    two = pose_bound(textured_wall(), Gaussian(0.02), **FAST)
+    assert two.position_std == pytest.approx(2 * one.position_std)
+    default = pose_bound(textured_wall(), **FAST)
+    with open_view(textured_wall()):
+        white = np.percentile(pose_jacobian(textured_wall(), **FAST).image, 99)
+    assert default.provenance["noise"]["sigma"] == pytest.approx(0.01 * white, rel=0.1)
+    assert "99th percentile" in default.provenance["noise"]["origin"]
+    black = scene(wall=wall({"type": "rgb", "value": 0.0}))
+    with pytest.raises(NoiseError, match="--sigma"):
+        pose_bound(black, **FAST)
+    with pytest.raises(NoiseError):
+        pose_bound(textured_wall(), PerPixel(np.ones((3, 3))), **FAST)
+
+
+def test_moving_scene_and_camera_by_100_m_changes_nothing_in_the_camera_frame() -> None:
+    """Float32 at 100 m: each diagonal entry within 3 combined standard errors (independent seeds)."""
+    move = np.eye(4)
+    move[:3, 3] = [100.0, -60.0, 80.0]
+    near_wall, sensor = wall(texture()), camera()
+    far = scene(
+        wall=near_wall | {"to_world": T(move) @ near_wall["to_world"]},
+        sensor=sensor | {"to_world": T(move) @ sensor["to_world"]},
+    )
+    options = {"method": "finite_difference", "spp": 64}
+    there = pose_bound(far, SIGMA, seed=1, size=(64, 48), **options).information
+    here = pose_bound(textured_wall(), SIGMA, seed=2, size=(64, 48), **options).information
+    error = np.hypot(np.diag(here.standard_error), np.diag(there.standard_error))
+    assert np.all(np.abs(np.diag(here.matrix - there.matrix)) < 3 * error)
+
+
+def test_float32_is_named_where_it_is_too_coarse_for_the_derivative() -> None:
+    with open_view(textured_wall()) as view:
+        for distance, found in ((100.0, 0), (10_000.0, 1)):
+            pose = np.eye(4)
+            pose[0, 3] = distance
+            findings = precision_findings(dataclasses.replace(view, pose=pose), 3.0)
+            assert len(findings) == found
+            assert all("nearer to the origin" in text for text in findings)
+
+
+def test_scaling_the_scenes_units_scales_the_answer_and_not_the_rank() -> None:
+    metres = pose_bound(textured_wall(), SIGMA, **FAST)
+    big_wall = wall(texture(), depth=300.0, half=600.0)
+    centimetres = pose_bound(scene(wall=big_wall), SIGMA, **FAST)
+    assert centimetres.length_scale == pytest.approx(100 * metres.length_scale, rel=1e-4)
+    assert centimetres.position_std == pytest.approx(100 * metres.position_std, rel=0.05)
+    assert centimetres.rotation_std_deg == pytest.approx(metres.rotation_std_deg, rel=0.05)
+    assert centimetres.rank == metres.rank == 6
+    assert centimetres.eigenvalues == pytest.approx(metres.eigenvalues, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"spp": 30}, "the nearest is 32"),
+        ({"spp": 1}, "the nearest is 4"),
+        ({"spp": 0}, "spp must be positive"),
+        ({"spp": 2.5}, "whole number"),
+        ({"spp": 9, "batches": 3}, "at least 4"),
+        ({"seed": -1}, "seed"),
+        ({"tile": 20}, "tile"),
+        ({"method": "magic"}, "methods: "),
+        ({"size": (0, 3)}, "size"),
+    ],
+)
+def test_options_out_of_range_are_named(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(OptionError, match=message):
+        pose_bound(textured_wall(), SIGMA, **options)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "message"),
+    [
+        ("random:0", r"\(0, 1\]"),
+        ("random:1.5", r"\(0, 1\]"),
+        ("gradient:x", r"\(0, 1\]"),
+        ("nowhere.png", "neither"),
+        (np.zeros((24, 32), dtype=bool), "empty"),
+        (np.ones((3, 4), dtype=bool), "4 x 3, the image 32 x 24"),
+        (np.ones((24, 32)), "boolean"),
+    ],
+)
+def test_pixel_selections_that_cannot_be_are_named(pixels: Any, message: str) -> None:
+    with pytest.raises(PixelsError, match=message):
+        pose_bound(textured_wall(), SIGMA, pixels=pixels, **FAST)
+
+
+def _half_invalid() -> Any:
+    """A textured wall, and before its left half a lamp whose radiance is not a number."""
+    lamp = {
+        "type": "rectangle",
+        "to_world": T().translate([1.5, 0, 2.5]).rotate([0, 1, 0], 180),
+        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 1.0}},
+    }
+    loaded = mi.load_dict(textured_wall(lamp=lamp))
+    params = mi.traverse(loaded)
+    params["lamp.emitter.radiance.value"] = mi.Color3f(np.nan)
+    params.update()
+    return loaded
+
+
+def test_radiance_that_is_no_number_is_counted_and_left_out_only_on_request() -> None:
+    with pytest.raises(RadianceError, match=r"\d+ of 768 pixels.*--drop-invalid") as error:
+        pose_bound(_half_invalid(), SIGMA, integrator=DIRECT, **FAST)
+    count = int(str(error.value).split()[0])
+    assert 0 < count < 768
+    jacobian = pose_jacobian(_half_invalid(), integrator=DIRECT, drop_invalid=True, **FAST)
+    assert len(jacobian.pixels) == 768 - count
+    assert np.isnan(jacobian.image).any()
+    assert np.isfinite(jacobian.values).all()
+
+
+def test_the_provenance_says_how_the_numbers_were_made() -> None:
+    seen = []
+    bound = pose_bound(
+        textured_wall(), SIGMA, seed=7, on_tile=lambda tile, done, total: seen.append((done, total)), **FAST
+    )
+    assert seen[-1] == (768, 768)
+    p = bound.provenance
+    assert (p["method"], p["spp"], p["seed"], p["batches"], p["size"]) == (
+        "finite_difference",
+        8,
+        7,
+        4,
+        [32, 24],
+    )
+    assert p["sensor"] == "camera"
+    assert p["integrator"] == "PathIntegrator"
+    assert p["versions"]["mitsuba"] == mi.__version__
+    assert p["seconds"]["total"] > p["seconds"]["render"] > 0
+    assert p["noise_inflation"] > 0
+
+
+def test_the_bound_of_the_world_frame_is_the_same_bound() -> None:
+    jacobian = pose_jacobian(textured_wall(), **FAST)
+    camera_bound = cramer_rao_bound(fisher_information(jacobian, SIGMA))
+    world_bound = cramer_rao_bound(fisher_information(jacobian, SIGMA).to_frame("world"))
+    assert world_bound.position_std == pytest.approx(camera_bound.position_std)
+    adjoint = se3.adjoint(jacobian.pose)
+    moved = adjoint @ camera_bound.covariance @ adjoint.T
+    assert world_bound.covariance == pytest.approx(moved, rel=1e-6, abs=1e-9 * np.abs(moved).max())
+
+
+@pytest.mark.slow
+def test_the_batched_estimate_is_unbiased_and_its_intervals_cover() -> None:
+    """200 seeds, 16 spp in 4 batches: mean within 4 standard errors of a many-sample reference, 95 %
+    intervals of each diagonal entry cover in 90 to 99 %; the plain ĴᵀWĴ lies beyond 10 (negative control)."""
+    noisy = scene(wall=wall({"type": "checkerboard", "to_uv": T().scale(6)}), sensor=camera(24, 16))
+    options = {"method": "finite_difference", "batches": 4}
+    reference = pose_bound(noisy, SIGMA, spp=1 << 14, seed=10**6, **options).information
+    truth = np.diag(reference.matrix)
+    runs = [pose_bound(noisy, SIGMA, spp=16, seed=seed, **options).information for seed in range(200)]
+    estimates = np.array([np.diag(run.matrix) for run in runs])
+    errors = np.array([np.diag(run.standard_error) for run in runs])
+    plain = np.array([np.diag(run.plain_matrix) for run in runs])
+    of_mean = np.hypot(estimates.std(axis=0, ddof=1) / np.sqrt(200), np.diag(reference.standard_error))
+    assert np.all(np.abs(estimates.mean(axis=0) - truth) < 4 * of_mean)
+    assert np.all(plain.mean(axis=0) - truth > 10 * of_mean)
+    covered = np.mean(np.abs(estimates - truth) < 1.96 * errors, axis=0)
+    assert np.all((covered >= 0.90) & (covered <= 0.99))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "file",
+    [
+        "cbox/cbox.xml",
+        "cornell-box/scene_m39.xml",
+        "cornell-picture/scene_picture.xml",
+        "matpreview/matpreview.xml",
+        "sponza/scene_m39.xml",
+        "staircase2/scene.xml",
+    ],
+)
+def test_scenes_by_others_have_finite_bounds(file: str, real_scenes: Path) -> None:
+    bound = pose_bound(real_scenes / file, size=(128, 96), spp=16)
+    assert bound.rank == 6
+    assert np.all(np.isfinite(bound.position_std))
+    assert np.all(np.isfinite(bound.rotation_std_deg))
