@@ -139,7 +139,7 @@ class PerPixel:
     @property
     def description(self) -> str:
         """One short phrase for tables."""
-        return f"Gaussian, variance per pixel, median sigma = {np.sqrt(np.median(self.variance)):.4g}"
+        return f"Gaussian, variance per pixel, median sigma = {self._sigmas()[1]:.4g}"
 
     def check(self, height: int, width: int, channels: int) -> None:
         """The map must have the image's size, and one or all of its channels."""
@@ -168,10 +168,14 @@ class PerPixel:
 
     def to_dict(self) -> dict[str, Any]:
         """Shape and quantiles: the map itself is too large for a report."""
-        quantiles = np.sqrt(np.quantile(self.variance, (0.0, 0.5, 1.0)))
         names = ("sigma_min", "sigma_median", "sigma_max")
-        values = {n: float(q) if np.isfinite(q) else "inf" for n, q in zip(names, quantiles, strict=True)}
+        values = {n: q if np.isfinite(q) else "inf" for n, q in zip(names, self._sigmas(), strict=True)}
         return {"model": "per_pixel", "shape": list(self.variance.shape), **values}
+
+    def _sigmas(self) -> tuple[float, float, float]:
+        """Minimum, (upper) median and maximum; `numpy.quantile` would interpolate between infinities."""
+        ordered = np.sqrt(np.sort(self.variance, axis=None))
+        return float(ordered[0]), float(ordered[ordered.size // 2]), float(ordered[-1])
 
 
 def _standard_deviation(value: float, name: str) -> float:
