@@ -147,11 +147,13 @@ def _check_targets(targets: dict[str, Path | None], inputs: list[Path]) -> None:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep warnings, which the library's results repeat, from being printed Python's way."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
+def _collected() -> Iterator[list[str]]:
+    """Collect warnings, each once, instead of having them printed Python's way."""
+    texts: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        yield texts
+        texts += dict.fromkeys(str(warning.message) for warning in caught)
 
 
 def _in_frame(bound: PoseBound, frame: Literal["camera", "world"]) -> PoseBound:
@@ -229,7 +231,7 @@ def bound(
         from .scene import load_scene
 
         gathering = Gathering() if exr_file or plot_file else None
-        with _quiet(), progress() as advance:
+        with _collected(), progress() as advance:  # the bound's provenance repeats them
 
             def on_tile(tile: TileJacobian, done: int, total: int) -> None:
                 if gathering is not None:
@@ -296,13 +298,13 @@ def check(
         options = _view_options(sensor, pose, size, spp, seed, batches)
         defines = parse_defines(define)
 
-        from .report import print_check
+        from .report import print_check, progress
         from .scene import load_scene
         from .validation import check_jacobian
 
-        with _quiet():
+        with _collected() as texts, progress():
             result = check_jacobian(load_scene(scene, **defines), **options)
-        print_check(_console(), result)
+        print_check(_console(), result, texts)
         return int(result.exit_code)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -121,36 +121,39 @@ def _seconds(seconds: dict[str, float]) -> str:
     return f"{seconds['total']:.1f} s" + (f" ({parts})" if parts else "")
 
 
-def print_check(console: Console, check: JacobianCheck) -> None:
-    """Each method's columns beside those of finite differences, and the verdict."""
+def print_check(console: Console, check: JacobianCheck, warnings: Iterable[str] = ()) -> None:
+    """Each method's columns beside those of finite differences, the verdict, and warnings on the way."""
     for row in check.rows:
+        _line(console, Text(row.method, style="bold"), " beside finite_difference, column by column:")
         table = _table()
-        table.add_column(f"{row.method} / finite_difference")
-        table.add_column("information ratio", justify="right")
-        table.add_column("columns differ by", justify="right")
-        table.add_column("would have seen", justify="right")
-        table.add_column("verdict")
+        table.add_column("")
+        for head in ("F / F_fd", "‖J − J_fd‖ / ‖J_fd‖", "would have seen"):
+            table.add_column(head, justify="right")
+        table.add_column("")
         for axis, name in enumerate(TWIST_ORDER):
-            wrong = bool(row.disagrees[axis])
-            if wrong:
+            if row.disagrees[axis]:
                 verdict = Text("differs", style="bold red")
             else:
-                verdict = Text("equal" if math.isfinite(row.ratio[axis]) else "unseen by both", style="green")
+                verdict = Text("equal" if math.isfinite(row.ratio[axis]) else "unseen", style="green")
             table.add_row(
                 name,
-                _pair(row.ratio[axis], row.ratio_standard_error[axis], ".3f"),
+                _pair(row.ratio[axis], row.ratio_standard_error[axis], "z.3f"),
                 _pair(row.difference[axis], row.difference_standard_error[axis], ".1%"),
-                f"{row.detectable[axis]:.2%}" if math.isfinite(row.detectable[axis]) else "",
+                _pair(row.detectable[axis], math.nan, ".2g" if math.isinf(row.detectable[axis]) else ".1%"),
                 verdict,
             )
         console.print(table)
-    seen = f"{check.detectable:.2g}" if math.isinf(check.detectable) else f"{check.detectable:.2%}"
-    sentence = {
-        "agree": f"the methods agree; a disagreement in information of {seen} would have been seen",
-        "disagree": f"the methods disagree; the smallest disagreement that would have been seen is {seen}",
-        "inconclusive": f"inconclusive: only a disagreement above {seen} would have been seen; raise --spp",
-    }[check.verdict]
-    _line(console, Text(sentence, style="green" if check.verdict == "agree" else "bold yellow"))
+    if math.isinf(check.detectable):
+        _line(console, Text(f"{check.verdict}: there is no column to compare", style="bold yellow"))
+    else:
+        seen = f"{check.detectable:.1%}"
+        sentence = {
+            "agree": f"the methods agree; a disagreement in information of {seen} would have been seen",
+            "disagree": f"the methods disagree; a disagreement of {seen} would have been seen in any column",
+            "inconclusive": f"inconclusive: only one above {seen} would have been seen; raise --spp",
+        }[check.verdict]
+        _line(console, Text(sentence, style="green" if check.verdict == "agree" else "bold yellow"))
+    _notes(console, warnings)
 
 
 def _pair(value: float, error: float, form: str) -> str:
@@ -209,7 +212,7 @@ def _facts(console: Console, rows: list[tuple[str, str]]) -> None:
         _line(console, Text(f"{name:<{width}}  ", style="dim"), value)
 
 
-def _notes(console: Console, warnings: Any) -> None:
+def _notes(console: Console, warnings: Iterable[str]) -> None:
     for warning in warnings:
         _line(console, Text("note: ", style="bold yellow"), " ".join(str(warning).split()))
 

@@ -18,8 +18,7 @@ from mitsuba_crb import cli, measure, scene, se3, validation
 from mitsuba_crb.arguments import parse_defines, parse_pose, parse_size
 from mitsuba_crb.errors import OptionError, PoseError, PrecisionWarning, SceneError
 
-SCENES = Path(__file__).parent.parent / "scenes"
-IDENTITY = "0 0 0 0 0 0 1"
+WALL = str(Path(__file__).parent.parent / "scenes" / "textured_wall" / "textured_wall.xml")
 
 
 @pytest.fixture
@@ -286,13 +285,79 @@ def test_check_prints_columns_and_returns_the_verdict(monkeypatch, capsys, ratio
     )
     result = validation.JacobianCheck((row,), 3 * spread, 0 * one)
     monkeypatch.setattr(scene, "load_scene", lambda path: "loaded")
-    monkeypatch.setattr(validation, "check_jacobian", lambda loaded, **options: result)
+
+    def check_jacobian(loaded, **options):
+        for _ in range(2):
+            warnings.warn("one thing to know", PrecisionWarning, stacklevel=2)
+        return result
+
+    monkeypatch.setattr(validation, "check_jacobian", check_jacobian)
     assert cli.run(["check", "room.xml"]) == code
     out = capsys.readouterr().out
     assert word in out
-    assert f"{3 * spread:.2%}" in out
+    assert f"{3 * spread:.1%}" in out
+    assert "note: one thing to know" in out
+    assert out.count("one thing to know") == 1
     for name in ("forward", *se3.TWIST_ORDER):
         assert name in out
+
+
+def test_check_with_nothing_to_compare_says_so(monkeypatch, capsys):
+    unknown = np.full(6, np.nan)
+    row = validation.MethodCheck("forward", *[unknown] * 5, np.zeros(6, bool))
+    result = validation.JacobianCheck((row,), np.inf, np.zeros(6))
+    monkeypatch.setattr(scene, "load_scene", lambda path: "loaded")
+    monkeypatch.setattr(validation, "check_jacobian", lambda loaded, **options: result)
+    assert cli.run(["check", "room.xml"]) == 3
+    out = capsys.readouterr().out
+    assert "no column to compare" in out
+    assert "nan" not in out
+    assert "inf" not in out
+
+
+def test_real_scene_from_file_to_files(capsys, tmp_path):
+    """Without any replacement: the same numbers as the library's, and pictures of the whole image."""
+    files = {name: tmp_path / f"out.{name}" for name in ("json", "exr", "plot")}
+    options = [text for name, path in files.items() for text in (f"--{name}", str(path))]
+    assert cli.run(["bound", WALL, "--size", "20x16", "--spp", "8", "--seed", "3", *options]) == 0
+    out, err = capsys.readouterr()
+    document = json.loads(files["json"].read_text(encoding="utf-8"))
+    with pytest.warns(PrecisionWarning) as caught:  # 8 paths are few
+        expected = measure.pose_bound(WALL, size=(20, 16), spp=8, seed=3)
+    assert document["warnings"] == [str(warning.message) for warning in caught]
+    assert all(f"note: {text}" in out for text in document["warnings"])
+    assert err == ""
+    np.testing.assert_array_equal(document["position_std"], expected.position_std)
+    np.testing.assert_array_equal(document["information"], expected.information.matrix)
+    assert document["size"] == [20, 16]
+    with OpenEXR.File(str(files["exr"]), separate_channels=True) as file:
+        planes = [channel.pixels for channel in file.channels().values()]
+    assert all(plane.shape == (16, 20) and np.isfinite(plane).all() for plane in planes)
+    assert min(plane.std() for plane in planes) > 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["-D", "nonsense=1"], "nonsense"),
+        (["--sensor", "7"], "sensor"),
+        (["--sensor", "left"], "sensor"),
+        (["--method", "guess"], "guess"),
+        (["--spp", "10"], "nearest is"),
+        (["--batches", "2"], "at least 4"),
+        (["--seed", "-1"], "seed"),
+        (["--pixels", "random:0"], "(0, 1]"),
+        (["--pixels", "gradient:1.5"], "(0, 1]"),
+        (["--pixels", "nowhere.png"], "nowhere.png"),
+    ],
+)
+def test_bad_value_that_the_library_finds_is_one_line_too(capsys, arguments, word):
+    assert word in refused(capsys, "bound", WALL, "--size", "8x8", *arguments)
+
+
+def test_missing_scene_is_one_line(capsys):
+    assert "nowhere.xml" in refused(capsys, "bound", "nowhere.xml")
+    assert "nowhere.xml" in refused(capsys, "check", "nowhere.xml")
 
 
 def test_version_and_help_need_nothing_heavy():
