@@ -62,7 +62,7 @@ def use_mitsuba() -> None:
         )
 
 
-def load_scene(path: str | os.PathLike[str], **defines: str) -> mi.Scene:
+def load_scene(path: str | os.PathLike[str], /, **defines: str) -> mi.Scene:
     """Load a Mitsuba XML file; `defines` set its `<default>` values.
 
     Raises:
