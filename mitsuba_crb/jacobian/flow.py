@@ -20,12 +20,14 @@ Source: design section 4.1; Zhang et al. 2020, Path-Space Differentiable Renderi
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from .contours import Contours, find_contours, parallax_term
 from .pairs import GOLDEN, BoxPairs, PairSample, SmoothPairs, filter_pairs
 from .pixels import (
     PILOT,
@@ -38,6 +40,7 @@ from .pixels import (
     radiance,
     render_pixels,
 )
+from .view_term import ViewTerm
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -48,6 +51,44 @@ PILOT_SPP = 4
 """Paths per pixel behind the baseline Ī_u."""
 
 
+@dataclass(frozen=True)
+class Prepared:
+    """What all tiles of one view share."""
+
+    pairs: SmoothPairs | BoxPairs
+    view_term: ViewTerm | None
+    contours: Contours
+    transform: mi.Transform4f
+    """World from camera."""
+    focal: mi.Vector2f
+    """d(film point)/d(q_x/q_z, q_y/q_z), the focal lengths with their signs [pixel]."""
+
+
+def prepare(view: View) -> Prepared:
+    """Tables of the filter, materials that need a view term, and contours.
+
+    Raises:
+        FilmError: the reconstruction filter is not known.
+
+    Warns:
+        BlindSpotWarning: by name, of shapes whose contours are not known.
+    """
+    import mitsuba as mi
+
+    width, height = view.size
+    film = mi.Point2f([0.0, width], [0.0, height])
+    ray, _ = camera_ray(view, film, mi.Point2f(0.5, 0.5))
+    tangent = np.array([ray.d.x / ray.d.z, ray.d.y / ray.d.z], dtype=np.float64)
+    focal = np.array([width, height]) / (tangent[:, 1] - tangent[:, 0])
+    return Prepared(
+        filter_pairs(PixelFilter.of(view)),
+        ViewTerm.of(view),
+        find_contours(view),
+        opaque_transform(view.pose),
+        mi.Vector2f(*(dr.opaque(mi.Float, float(value)) for value in focal)),
+    )
+
+
 def jacobian(
     view: View,
     pixels: NDArray[np.int64],
@@ -56,29 +97,48 @@ def jacobian(
     seed: int,
     batches: int,
     length_scale: float,
+    prepared: Prepared | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """dI/dξ in the camera frame.
 
     Args:
-        pixels: (n, 2) columns and rows.
+        pixels: (n, 2) columns and rows; those of one film block must come in one call.
         spp: paths per pixel over all batches. Paths come in pairs, alternately along x and y, so a multiple
             of 4 per batch is best; an odd last path of a batch is not traced, a batch of one path traces two.
+        length_scale: unused; one interface for all methods.
+        prepared: what `prepare` returned for this view, so that many tiles prepare once.
 
     Returns:
         (batches, n, 3, 6) Jacobians [radiance / scene unit, radiance / rad], and the image (n, 3).
     """
+    prepared = prepare(view) if prepared is None else prepared
     baseline = render_pixels(view, pixels, spp=PILOT_SPP, seed=seed, purpose=PILOT)[0]
-    return _filter_and_view_terms(view, pixels, baseline, spp=spp, seed=seed, batches=batches)
+    values, image = filter_and_view_terms(
+        view, prepared, pixels, baseline, spp=spp, seed=seed, batches=batches
+    )
+    values += parallax_term(view, prepared.contours, pixels, baseline, spp=spp, seed=seed, batches=batches)
+    return values, image
 
 
-def _filter_and_view_terms(
-    view: View, pixels: NDArray[np.int64], baseline: NDArray[np.float64], *, spp: int, seed: int, batches: int
+def filter_and_view_terms(
+    view: View,
+    prepared: Prepared,
+    pixels: NDArray[np.int64],
+    baseline: NDArray[np.float64],
+    *,
+    spp: int,
+    seed: int,
+    batches: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """As `jacobian`, without what happens at occluding contours.
+
+    Args:
+        baseline: (n, 3) Ī_u, any constants near the image that do not come from these random numbers.
+    """
     import mitsuba as mi
 
-    pairs = filter_pairs(PixelFilter.of(view))
+    pairs = prepared.pairs
     pixel, batch, centre = lanes(view, pixels, batches)
-    lane_baseline = mi.Color3f(np.repeat(baseline, batches, axis=0).T.astype(np.float32))
     number = max(1, spp // batches // 2)
     # Fewer pairs than kinds: which kinds, a random number decides, and the expected counts are the weights.
     few = number < pairs.kinds
@@ -88,12 +148,10 @@ def _filter_and_view_terms(
     ]
     columns, image = _sum_pairs(
         view,
-        pairs,
+        prepared,
         lane_sampler(pixel, batch, seed),
         centre,
-        lane_baseline,
-        opaque_transform(view.pose),
-        _pixels_per_tangent(view),
+        mi.Color3f(np.repeat(baseline, batches, axis=0).T.astype(np.float32)),
         counts,
         dr.opaque(mi.UInt32, number),
         dr.opaque(mi.UInt32, pairs.kinds if few else 1),
@@ -105,27 +163,13 @@ def _filter_and_view_terms(
     return values, means
 
 
-def _pixels_per_tangent(view: View) -> mi.Vector2f:
-    """d(film point)/d(q_x/q_z, q_y/q_z), the focal lengths with their signs [pixel]."""
-    import mitsuba as mi
-
-    width, height = view.size
-    film = mi.Point2f([0.0, width], [0.0, height])
-    ray, _ = camera_ray(view, film, mi.Point2f(0.5, 0.5))
-    tangent = np.array([ray.d.x / ray.d.z, ray.d.y / ray.d.z], dtype=np.float64)
-    focal = np.array([width, height]) / (tangent[:, 1] - tangent[:, 0])
-    return mi.Vector2f(*(dr.opaque(mi.Float, float(value)) for value in focal))
-
-
 @dr.syntax  # type: ignore[untyped-decorator]  # Dr.Jit is untyped here
 def _sum_pairs(
     view: View,
-    pairs: SmoothPairs | BoxPairs,
+    prepared: Prepared,
     sampler: mi.Sampler,
     centre: mi.Point2f,
     baseline: mi.Color3f,
-    transform: mi.Transform4f,
-    focal: mi.Vector2f,
     counts: list[mi.Float],
     number: mi.UInt32,
     starts: mi.UInt32,
@@ -133,6 +177,9 @@ def _sum_pairs(
     """Six columns and the image of each lane; equal kernels for all tiles, seeds and poses."""
     import mitsuba as mi
 
+    pairs, transform = prepared.pairs, prepared.transform
+    view_term: Any = prepared.view_term
+    hit_flags = mi.RayFlags.Minimal if view_term is None else mi.RayFlags.ShadingFrame
     world_to_camera = transform.inverse()
     columns = [mi.Color3f(0.0) for _ in range(6)]
     image = mi.Color3f(0.0)
@@ -141,7 +188,9 @@ def _sum_pairs(
     rng = mi.PCG32(sampler.rng)
     pair_rng = mi.PCG32(rng)
     i = mi.UInt32(0)
-    while dr.hint(i < 2 * number, exclude=[view, pairs, counts], label="antithetic pairs"):
+    while dr.hint(
+        i < 2 * number, exclude=[view, prepared, pairs, view_term, counts], label="antithetic pairs"
+    ):
         # Both halves of a pair trace their paths with the same random numbers.
         mirrored = (i & 1) == 1
         pair_rng.state = dr.select(mirrored, pair_rng.state, rng.state)
@@ -157,15 +206,32 @@ def _sum_pairs(
 
         ray, importance = camera_ray(view, centre + mi.Vector2f(half.offset), path_sampler.next_2d())
         world_ray = move_ray(ray, transform)
-        hit = view.scene.ray_intersect(world_ray, mi.RayFlags.Minimal, True)
+        hit = view.scene.ray_intersect(world_ray, hit_flags, True)
+        to_lens = ray.o.z / ray.d.z
+        lens = mi.Point3f(ray.o - to_lens * ray.d)
+
+        if dr.hint(view_term is not None, mode="scalar"):
+            angle = path_sampler.next_1d()
+            shifted_sampler = path_sampler.clone()
         light = importance * radiance(view, path_sampler, world_ray)
         rng = mi.PCG32(path_sampler.rng)
 
-        weights = _divergences(half, ray, hit, world_to_camera @ mi.Vector3f(hit.n), focal)
+        normal = world_to_camera @ mi.Vector3f(hit.n)
+        weights = _divergences(half, ray, lens, hit.is_valid(), hit.t + to_lens, normal, prepared.focal)
         for k in range(6):
             columns[k] += (light - baseline) * weights[k]
         # With the baseline: the weights' own noise, whose mean is 1, would otherwise scale the whole image.
         image += (light - baseline) * half.value
+
+        if dr.hint(view_term is not None, mode="scalar"):
+            tangent = _tangent(ray.d, angle, mirrored)
+            change = view_term.difference(
+                view, shifted_sampler, world_ray, hit, hit.t + to_lens, light, transform @ tangent
+            )
+            turning = dr.cross(lens, tangent)
+            for k in range(3):
+                columns[k] += change * (half.value * tangent[k])
+                columns[k + 3] += change * (half.value * turning[k])
         i += 1
     return columns, image + baseline
 
@@ -177,20 +243,34 @@ def _reciprocal_count(kind: mi.UInt32, counts: list[mi.Float]) -> mi.Float:
     return dr.rcp(count)
 
 
+def _tangent(direction: mi.Vector3f, turn: mi.Float, mirrored: mi.Bool) -> mi.Vector3f:
+    """A unit vector normal to the ray; those of a pair's halves are normal to each other."""
+    import mitsuba as mi
+
+    sin, cos = dr.sincos(dr.two_pi * (turn + dr.select(mirrored, 0.25, 0.0)))
+    return mi.Vector3f(mi.Frame3f(direction).to_world(mi.Vector3f(cos, sin, 0.0)))
+
+
 def _divergences(
-    half: PairSample, ray: mi.Ray3f, hit: mi.SurfaceInteraction3f, normal: mi.Vector3f, focal: mi.Vector2f
+    half: PairSample,
+    ray: mi.Ray3f,
+    lens: mi.Point3f,
+    valid: mi.Bool,
+    distance: mi.Float,
+    normal: mi.Vector3f,
+    focal: mi.Vector2f,
 ) -> list[mi.Float]:
     """∇·(h f) over the sample's density, for the six twist components.
 
     Args:
-        ray, normal: in the camera frame.
+        ray, lens, normal: in the camera frame.
+        valid, distance: whether the ray hits, and how far from the lens point [scene unit].
         focal: d(film)/d(tangent plane), so that focal·∇h is the gradient on the tangent plane.
     """
     h = half.value
     gx, gy = half.gradient.x * focal.x, half.gradient.y * focal.y
-    to_lens = ray.o.z / ray.d.z
     x, y = ray.d.x / ray.d.z, ray.d.y / ray.d.z
-    inverse_depth = dr.select(hit.is_valid(), dr.rcp(ray.d.z * (hit.t + to_lens)), 0.0)
+    inverse_depth = dr.select(valid, dr.rcp(ray.d.z * distance), 0.0)
     # n q_z/(n·q); a plane through the lens point has no film area, so its value does not matter.
     slant = dr.dot(normal, ray.d) / ray.d.z
     m = dr.select(dr.abs(slant) > 0.0, normal / slant, 0.0)
@@ -205,5 +285,9 @@ def _divergences(
         gx * y - gy * x,
     ]
     # ρ_a = ρ + φ×a: rotating about the camera's origin also shifts the lens point.
-    ax, ay = ray.o.x - to_lens * ray.d.x, ray.o.y - to_lens * ray.d.y
-    return [*rho, phi[0] + ay * rho[2], phi[1] - ax * rho[2], phi[2] - ay * rho[0] + ax * rho[1]]
+    return [
+        *rho,
+        phi[0] + lens.y * rho[2],
+        phi[1] - lens.x * rho[2],
+        phi[2] - lens.y * rho[0] + lens.x * rho[1],
+    ]
