@@ -8,8 +8,8 @@ and (x, y, 1) the camera-frame direction from the lens point a,
 
     f_fg − f_bg = −(w_fg − w_bg) diag(1/s) [[1, 0, −x], [0, 1, −y]] (ρ + φ × a),
 
-s the scale of `curves.Lens`. It is Reynolds' transport theorem: the contour moves with the foreground, so that
-a patch of background gains or loses film that its own flow does not account for. A pinhole (a = 0) that
+s the scale of `curves.Lens`. It is Reynolds' transport theorem: the contour moves with the foreground, so
+that a patch of background gains or loses film that its own flow does not account for. A pinhole (a = 0) that
 rotates sees none of it.
 
 Samples are drawn per block of the film with random numbers of (seed, block, batch), and reach that block's
@@ -37,7 +37,16 @@ from ..errors import BlindSpotWarning
 from ..information import BLOCK
 from .curves import CIRCLE, EDGE, RIM, TANGENT, Curves, Lens, Placed, bounds, cut, place
 from .edges import EdgeTable
-from .pixels import PixelFilter, camera_ray, lane_sampler, move_ray, opaque_transform, radiance
+from .pixels import (
+    PixelFilter,
+    camera_ray,
+    download,
+    lane_sampler,
+    move_ray,
+    opaque_transform,
+    radiance,
+    upload,
+)
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -54,7 +63,7 @@ _ASIDE = 4e-3
 """How far to either side of a contour its two surfaces are looked for [pixel]."""
 _FLOOR = 0.1
 """Share of samples for pieces that two probes found hidden: they may be visible in between."""
-_RATE = 1.0
+_RATE = 0.125
 """Samples per pixel of visible contour, per path and pixel."""
 _CHUNK = 1 << 19
 """Samples held at once."""
@@ -204,9 +213,9 @@ def _lens(view: View) -> Lens:
     import mitsuba as mi
 
     grid = np.stack(np.meshgrid(*(np.linspace(0.0, n, 9) for n in view.size)), axis=-1).reshape(-1, 2)
-    film = mi.Point2f(*(mi.Float(grid[:, j].astype(np.float32)) for j in range(2)))
+    film = mi.Point2f(*(upload(mi.Float, x) for x in grid.T))
     ray, _ = camera_ray(view, film, mi.Point2f(0.5, 0.5))
-    direction = np.array(ray.d, dtype=np.float64)
+    direction = download(ray.d)
     fits = [np.polyfit(grid[:, j], direction[j] / direction[2], 1) for j in range(2)]
     scale, offset = np.array(fits).T
     params = mi.traverse(view.sensor)
@@ -268,6 +277,8 @@ def _look(view: View, contours: Contours, placed: Placed, aperture: Floats) -> F
     Args:
         aperture: (n, 2) lens samples in [0, 1]².
     """
+    if not len(placed.length):
+        return np.empty(0)  # Dr.Jit does not divide empty arrays
     transform = opaque_transform(contours.pose)
     inner, outer = (
         _inverse_depth(view, transform, placed.film + side * placed.normal, aperture)
@@ -288,7 +299,7 @@ def _inverse_depth(view: View, transform: mi.Transform4f, film: Floats, aperture
 def _ray(view: View, film: Floats, aperture: Floats) -> tuple[mi.Ray3f, mi.Color3f]:
     import mitsuba as mi
 
-    x, y, s, t = (mi.Float(a.astype(np.float32)) for a in (*film.T, *aperture.T))
+    x, y, s, t = (upload(mi.Float, a) for a in (*film.T, *aperture.T))
     return camera_ray(view, mi.Point2f(x, y), mi.Point2f(s, t))
 
 
@@ -365,6 +376,8 @@ def _sum_blocks(
     kept = np.flatnonzero((rows >= 0).any(axis=1) & (placed.length > 0.0))
     jump = _look(view, contours, placed.part(kept), aperture[kept])
     kept, jump = kept[jump > 0.0], jump[jump > 0.0]
+    if not len(kept):
+        return np.zeros((batches, n, 3, 6))
     placed, rows, height = placed.part(kept), rows[kept], height[kept]
     outside = _radiance(view, contours, placed, aperture[kept], block[kept], number[kept], seed)
 
@@ -397,7 +410,7 @@ def _footprint(
     slot[home, *(pixels - corner[home]).T] = np.arange(len(pixels))
     width = int(np.ceil(2.0 * pixel_filter.radius))
     pixel = np.ceil(film - pixel_filter.radius - 0.5).astype(np.int64)[:, None] + np.arange(width)[:, None]
-    offset = mi.Float((pixel + 0.5 - film[:, None]).astype(np.float32).ravel())
+    offset = upload(mi.Float, (pixel + 0.5 - film[:, None]).ravel())
     h = np.array(pixel_filter.eval(offset), dtype=np.float64).reshape(-1, width, 2)
     local = pixel - corner[owner][:, None]
     within = (local >= 0) & (local < BLOCK)
@@ -411,18 +424,12 @@ def _draw(block: Ints, number: Ints, seed: int, lens: Lens) -> tuple[Floats, Flo
     """Of each sample: where in its stratum (n,), its lens sample (n, 2) and lens point (n, 3)."""
     import mitsuba as mi
 
-    sampler = lane_sampler(
-        mi.UInt32(block.astype(np.uint32)), mi.UInt32(number.astype(np.uint32)), seed, POINTS
-    )
+    sampler = lane_sampler(upload(mi.UInt32, block), upload(mi.UInt32, number), seed, POINTS)
     jitter, aperture = sampler.next_1d(), sampler.next_2d()
     point = mi.warp.square_to_uniform_disk_concentric(aperture)
     dr.eval(jitter, aperture, point)
-    on_lens = lens.radius * np.array(point, dtype=np.float64).T
-    return (
-        np.array(jitter, dtype=np.float64),
-        np.array(aperture, dtype=np.float64).T,
-        np.column_stack([on_lens, np.zeros(len(block))]),
-    )
+    on_lens = np.column_stack([lens.radius * download(point).T, np.zeros(len(block))])
+    return np.array(jitter, dtype=np.float64), download(aperture).T, on_lens
 
 
 def _radiance(
@@ -431,9 +438,7 @@ def _radiance(
     """L_bg of each sample (n, 3), one path each."""
     import mitsuba as mi
 
-    sampler = lane_sampler(
-        mi.UInt32(block.astype(np.uint32)), mi.UInt32(number.astype(np.uint32)), seed, PATHS
-    )
+    sampler = lane_sampler(upload(mi.UInt32, block), upload(mi.UInt32, number), seed, PATHS)
     ray, importance = _ray(view, placed.film - _ASIDE * placed.normal, aperture)
     color = importance * radiance(view, sampler, move_ray(ray, opaque_transform(contours.pose)))
-    return np.array(color, dtype=np.float64).T
+    return download(color).T

@@ -48,21 +48,21 @@ class Lens:
     def project(self, seen: Floats, point: Floats) -> Floats:
         """Film position [pixel] (n, 2) of p' = `seen` (n, 3) from lens points a = `point` (n, 3)."""
         direction: Floats = seen[:, :2] / seen[:, 2:] + point[:, :2] / self.focus
-        return (direction - self.offset) / self.scale
+        film: Floats = (direction - self.offset) / self.scale
+        return film
 
     def velocity(self, seen: Floats, moving: Floats) -> Floats:
         """Film velocity (n, 2) of points p' (n, 3) that move by `moving` (n, 3)."""
         velocity: Floats = (moving[:, :2] - seen[:, :2] / seen[:, 2:] * moving[:, 2:]) / seen[:, 2:]
-        return velocity / self.scale
+        return np.asarray(velocity / self.scale)
 
     def rim(self) -> Floats:
         """(k, 3) points whose convex hull holds the aperture."""
         if self.radius == 0.0:
             return np.zeros((1, 3))
         angle = np.arange(8) * (np.pi / 4.0)
-        return np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1) * (
-            self.radius / np.cos(np.pi / 8.0)
-        )
+        reach = self.radius / np.cos(np.pi / 8.0)
+        return np.asarray(reach * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1))
 
 
 EDGE, TANGENT, CIRCLE, RIM = range(4)

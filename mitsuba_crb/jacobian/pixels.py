@@ -52,6 +52,31 @@ def _sampler_class() -> Any:
     return PixelSampler
 
 
+def upload(kind: Any, values: NDArray[Any]) -> Any:
+    """An array as kernel input of type `kind` (mi.Float, mi.UInt32), in aligned memory.
+
+    Dr.Jit shares NumPy's memory, and compiles one kernel for aligned and another for unaligned inputs.
+    NumPy's alignment is a matter of chance, so that kernels would be compiled again at random.
+    """
+    import mitsuba as mi
+
+    dtype = np.float32 if kind is mi.Float else np.uint32
+    memory = np.empty(4 * values.size + 64, dtype=np.uint8)
+    start = -memory.ctypes.data % 64
+    aligned = memory[start : start + 4 * values.size].view(dtype)
+    aligned[:] = values
+    return kind(aligned)
+
+
+def download(value: Any) -> NDArray[np.float64]:
+    """A Dr.Jit array of d components as (d, n) float64.
+
+    Evaluated first, and by component: NumPy's conversion of the whole compiles its width into the kernel.
+    """
+    dr.eval(value)
+    return np.array([np.array(component) for component in value], dtype=np.float64)
+
+
 def lane_sampler(pixel: mi.UInt32, batch: mi.UInt32, seed: int, purpose: int = 0) -> mi.Sampler:
     """A sampler whose lane streams depend on (pixel, batch, seed, purpose) and on nothing else.
 
@@ -88,7 +113,7 @@ class OffsetTable:
         density = np.maximum(density, 1e-3 * density.max())
         mass = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
         nodes = np.interp(np.linspace(0.0, 1.0, count + 1), mass / mass[-1], grid)
-        return OffsetTable(mi.Float(nodes.astype(np.float32)), count)
+        return OffsetTable(upload(mi.Float, nodes), count)
 
     def sample(self, u: mi.Float) -> tuple[mi.Float, mi.Float]:
         """Offset x [pixel] and its density [1/pixel]."""
@@ -122,7 +147,7 @@ class PixelFilter:
         # Midpoints: a filter's value exactly on its border (box) is a matter of convention.
         edges = np.linspace(-radius, radius, 8193)
         middle = 0.5 * (edges[1:] + edges[:-1])
-        values = np.array(rfilter.eval(mi.Float(middle.astype(np.float32))), dtype=np.float64)
+        values = np.array(rfilter.eval(upload(mi.Float, middle)), dtype=np.float64)
         norm = float(values.sum() * (edges[1] - edges[0]))
         density = np.abs(np.interp(edges, middle, values))
         return PixelFilter(rfilter, radius, norm, OffsetTable.of(density, radius))
@@ -198,8 +223,8 @@ def lanes(view: View, pixels: NDArray[np.int64], batches: int) -> tuple[mi.UInt3
     import mitsuba as mi
 
     index = pixels[:, 1] * view.size[0] + pixels[:, 0]
-    pixel = mi.UInt32(np.repeat(index, batches).astype(np.uint32))
-    batch = mi.UInt32(np.tile(np.arange(batches), len(pixels)).astype(np.uint32))
+    pixel = upload(mi.UInt32, np.repeat(index, batches))
+    batch = upload(mi.UInt32, np.tile(np.arange(batches), len(pixels)))
     width = dr.opaque(mi.UInt32, view.size[0])
     row = pixel // width
     return pixel, batch, mi.Point2f(mi.Float(pixel - row * width) + 0.5, mi.Float(row) + 0.5)
@@ -237,7 +262,7 @@ def render_pixels(
         transform,
         dr.opaque(mi.UInt32, spp),
     )
-    return np.array(total / spp, dtype=np.float64).T.reshape(len(pixels), batches, 3).transpose(1, 0, 2)
+    return download(total).reshape(3, len(pixels), batches).transpose(2, 1, 0) / spp
 
 
 @dr.syntax  # type: ignore[untyped-decorator]
