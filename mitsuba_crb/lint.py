@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .jacobian import finite_difference
-from .jacobian.pixels import first_hits
+from .jacobian.pixels import camera_ray, first_hits, move_ray, opaque_transform
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -48,7 +48,7 @@ def discontinuities(view: View) -> list[str]:
     grid = np.stack(np.meshgrid(columns, rows), axis=-1)
     hit, depth = first_hits(view, grid.reshape(-1, 2))
     found = _textures(view.scene)
-    if _has_silhouettes(hit, depth, (len(rows), len(columns))):
+    if _has_silhouettes(view, hit, depth, grid):
         found.append("silhouettes (depth jumps between neighbouring pixels)")
     if _has_shadows(view.scene, hit):
         found.append("shadows (lights that are blocked from part of what is visible)")
@@ -99,28 +99,52 @@ def _is_nearest(texture: mi.Texture) -> bool:
 
 
 def _has_silhouettes(
-    hit: mi.SurfaceInteraction3f, depth: NDArray[np.float64], shape: tuple[int, int]
+    view: View, hit: mi.SurfaceInteraction3f, depth: NDArray[np.float64], grid: NDArray[np.int64]
 ) -> bool:
-    """Whether a hit lies off the tangent planes of its neighbours by more than their spacing explains."""
+    """Whether depth jumps between neighbouring pixels: a gap that halving the distance does not close."""
+    shape = grid.shape[:2]
+    finite = np.isfinite(depth).reshape(shape)
+    if not finite.all():
+        return bool(finite.any())
     points = np.array(hit.p, dtype=np.float64).T.reshape(*shape, 3)
     normals = np.array(hit.n, dtype=np.float64).T.reshape(*shape, 3)
-    finite = np.isfinite(depth).reshape(shape)
-    if finite.any() and not finite.all():
-        return True
-    if not finite.any():
-        return False
-    for axis in (0, 1):
-        a, b = (np.take(points, range(k, shape[axis] - 1 + k), axis) for k in (0, 1))
-        na, nb = (np.take(normals, range(k, shape[axis] - 1 + k), axis) for k in (0, 1))
-        step = b - a
-        length = np.linalg.norm(step, axis=-1)
-        off_a = np.abs(np.sum(step * na, axis=-1))
-        off_b = np.abs(np.sum(step * nb, axis=-1))
-        # A convex or concave edge leaves one of the two offsets small only where its faces meet; across a
-        # depth jump both neighbours' planes are missed by much of the step.
-        if np.any(np.minimum(off_a, off_b) > 0.5 * length):
-            return True
-    return False
+    film = grid + 0.5
+    pairs = []
+    for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        step = points[there] - points[here]
+        off = np.minimum(
+            np.abs(np.sum(step * normals[here], axis=-1)), np.abs(np.sum(step * normals[there], axis=-1))
+        )
+        # Off both tangent planes by much of the step: a jump, or a crease between the two.
+        suspect = off > 0.3 * np.linalg.norm(step, axis=-1)
+        pairs.append((film[here][suspect], film[there][suspect]))
+    left, right = (np.concatenate(side) for side in zip(*pairs, strict=True))
+    return len(left) > 0 and _gap_remains(view, left, right)
+
+
+def _gap_remains(view: View, left: NDArray[np.float64], right: NDArray[np.float64]) -> bool:
+    """Whether some pair of film points (n, 2) still sees far-apart surfaces when bisected to 1/64."""
+    ends = [left, right]
+    hits = [_surface(view, end) for end in ends]
+    first = np.linalg.norm(hits[1] - hits[0], axis=1)
+    for _ in range(6):
+        middle = 0.5 * (ends[0] + ends[1])
+        hit = _surface(view, middle)
+        nearer = np.linalg.norm(hit - hits[0], axis=1) < np.linalg.norm(hit - hits[1], axis=1)
+        for side, moved in ((0, nearer), (1, ~nearer)):
+            ends[side] = np.where(moved[:, None], middle, ends[side])
+            hits[side] = np.where(moved[:, None], hit, hits[side])
+    return bool(np.any(np.linalg.norm(hits[1] - hits[0], axis=1) > 0.25 * first))
+
+
+def _surface(view: View, film: NDArray[np.float64]) -> NDArray[np.float64]:
+    """First surface points (n, 3) through film points (n, 2) [pixel], in the world."""
+    import mitsuba as mi
+
+    x, y = film.astype(np.float32).T
+    ray, _ = camera_ray(view, mi.Point2f(x, y), mi.Point2f(0.5, 0.5))
+    hit = view.scene.ray_intersect(move_ray(ray, opaque_transform(view.pose)))
+    return np.array(hit.p, dtype=np.float64).T
 
 
 def _has_shadows(scene: mi.Scene, hit: mi.SurfaceInteraction3f) -> bool:
