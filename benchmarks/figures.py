@@ -1,0 +1,80 @@
+"""The README's figures, into benchmarks/figures/.
+
+    python benchmarks/figures.py
+
+bound.png: the page that `mitsuba-crb bound scenes/textured_room/textured_room.xml --plot` writes.
+columns.png: the six columns of the Jacobian on a checkerboard, by `forward` and by `flow`.
+"""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from mitsuba_crb import cramer_rao_bound, fisher_information, pose_jacobian
+from mitsuba_crb.errors import BlindSpotWarning
+from mitsuba_crb.export import pictures_of
+from mitsuba_crb.noise import Gaussian
+from mitsuba_crb.page import bound_figure
+from mitsuba_crb.plot import column_limit, draw_column, draw_render
+
+ROOT = Path(__file__).parents[1]
+FOLDER = Path(__file__).parent / "figures"
+
+
+def scene(name: str) -> Path:
+    """A shipped scene's file."""
+    return ROOT / "scenes" / name / f"{name}.xml"
+
+
+def bound_page() -> None:
+    """The whole story of the demo scene."""
+    jacobian = pose_jacobian(scene("textured_room"), size=(384, 288), spp=64)
+    noise = Gaussian(0.01 * float(np.percentile(jacobian.image, 99)))
+    information = fisher_information(jacobian, noise)
+    bound = cramer_rao_bound(information)
+    figure = bound_figure(bound, pictures_of(jacobian, information, noise))
+    figure.savefig(FOLDER / "bound.png", dpi=80)
+
+
+def columns() -> None:
+    """Automatic differentiation of the renderer sees nothing in a checkerboard; the material form sees all."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", BlindSpotWarning)
+        both = {
+            method: pose_jacobian(scene("checkerboard_wall"), method=method, size=(192, 144), spp=64)
+            for method in ("forward", "flow")
+        }
+    noise = Gaussian(0.01)
+    pictures = {m: pictures_of(j, fisher_information(j, noise), noise) for m, j in both.items()}
+    figure, axes = plt.subplots(2, 7, figsize=(14, 3.4), layout="constrained")
+    names = ("left", "up", "forward")
+    for row, (method, picture) in enumerate(pictures.items()):
+        draw_render(axes[row, 0], picture.image)
+        axes[row, 0].set_ylabel(method, fontsize=12)
+        for k in range(6):
+            part = slice(0, 3) if k < 3 else slice(3, 6)
+            limit = column_limit(pictures["flow"].columns[..., part])
+            draw_column(axes[row, k + 1], picture.columns[..., k], limit=limit)
+            if row == 0:
+                axes[row, k + 1].set_title(f"{'move' if k < 3 else 'turn about'} {names[k % 3]}", fontsize=10)
+    axes[0, 0].set_title("render", fontsize=10)
+    figure.savefig(FOLDER / "columns.png", dpi=80)
+
+
+def main() -> None:
+    """Write both."""
+    FOLDER.mkdir(exist_ok=True)
+    bound_page()
+    columns()
+
+
+if __name__ == "__main__":
+    main()
