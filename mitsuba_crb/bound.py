@@ -27,8 +27,9 @@ from numpy.typing import ArrayLike, NDArray
 from . import se3
 from .errors import OptionError, PrecisionWarning
 from .identifiability import FLOAT32_FLOOR, Identifiability, UnobservedDirection, identify, readable_basis
-from .information import FisherInformation, congruence, pack
+from .information import FisherInformation
 from .se3 import Array, Frame
+from .symmetric import congruence, pack
 
 LARGEST_RELATIVE_ERROR = 0.1
 """A standard deviation whose relative standard error exceeds this raises a `PrecisionWarning`."""

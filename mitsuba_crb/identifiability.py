@@ -20,8 +20,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from .information import congruence, unpack
 from .se3 import Array
+from .symmetric import congruence, unpack
 
 CONFIDENCE = 0.99
 """Probability with which pure noise stays below the threshold."""

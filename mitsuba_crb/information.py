@@ -5,23 +5,24 @@ For K independent, unbiased estimates J_1 .. J_K of the Jacobian J and a noise p
     F̂ = [ (Σ J_k)ᵀ W (Σ J_k) − Σ J_kᵀ W J_k ] / (K (K − 1))  =  mean over k < l of  sym(J_kᵀ W J_l)
 
 is unbiased for F = JᵀWJ, where the plain ĴᵀWĴ of the mean Ĵ is too large by E[δJᵀ W δJ]. It is symmetric, but
-positive semi-definite only in expectation. Its covariance comes from disjoint pairs of batches. With
-h_kl = sym(J_kᵀ W J_l) of one block of pixels as a vector of 21 numbers, d_kl = h_kl − F̂ and s_k = Σ_l d_kl,
+positive semi-definite only in expectation. The covariance of its entries (`ustatistic`) is summed over units
+with independent errors: pixels, or blocks of pixels that share samples. Conventions: `se3`.
 
-    Cov[F̂] ≈ [ 4 Σ_k s_k s_kᵀ − 4 Σ_{k<l} d_kl d_klᵀ ] / ( K (K−1) (K−2) (K−3) )
+For a simple random sample of n of N pixels, F̂ = (N/n) Σ F̂_u and, with f = n/N,
 
-equals F̂F̂ᵀ − mean over disjoint pairs of h_kl h_pqᵀ, and so is unbiased; this form has no cancellation. It is
-summed over blocks of pixels, whose errors are independent. Conventions: `se3`.
+    Cov = N² (1−f)/n s² + (N/n)² [ f V + (1−f) n/(n−1) (V − Σ V_u) ],
 
-References: Hoeffding, "A class of statistics with asymptotically normal distribution", 1948 (U-statistics);
-Cochran, "Sampling Techniques", 3rd ed., chapter 2 (simple random sampling without replacement).
+s² the sample covariance of the pixels' F̂_u (their noise included), V the Monte Carlo covariance of the sum,
+V_u that of one pixel: V − Σ V_u is what pixels of one block have in common.
+
+Reference: Cochran, "Sampling Techniques", 3rd ed., chapter 2 and section 13.9 (errors of measurement).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from dataclasses import replace as dataclass_replace
-from itertools import combinations, pairwise
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -31,6 +32,8 @@ from . import se3
 from .errors import FrameError, NoiseError, OptionError, PixelsError, RadianceError
 from .noise import NoiseModel
 from .se3 import Array, Frame
+from .symmetric import congruence, positive_part, symmetrised, unpack
+from .ustatistic import VarianceComponents, block_products, gram, pixel_products, whiten
 
 BLOCK = 16
 """Side [pixel] of the film blocks, on a fixed grid (x // 16, y // 16), whose pixels may share samples."""
@@ -38,11 +41,7 @@ BLOCK = 16
 MINIMUM_BATCHES = 4
 """Two disjoint pairs of batches are needed to estimate the variance without bias."""
 
-_TRIU = np.triu_indices(6)
-_CHUNK = 4096  # pixels whose products are held at once; bounds the memory of `_add_pixels`
-# Rows of one BLAS call. Larger products wake BLAS's threads, whose barrier costs milliseconds on a busy
-# machine, a hundred times the product itself.
-_ROWS = 128
+_CHUNK = 4096  # pixels whose products are held at once; bounds the memory of `_pixel_means`
 
 
 @dataclass(frozen=True)
@@ -139,7 +138,7 @@ class FisherInformation:
             if array.shape != shape or not np.isfinite(array).all():
                 raise FrameError(f"{name} must be a finite array of shape {shape}, not {array.shape}")
             if name != "pose":
-                array = _symmetrised(array)
+                array = symmetrised(array)
             array.flags.writeable = False
             object.__setattr__(self, name, array)
 
@@ -286,9 +285,10 @@ class InformationAccumulator:
         self._blocks: set[int] = set()
         self._count = 0
         self._sum = np.zeros(21)
-        self._covariance = np.zeros((21, 21))
         self._plain = np.zeros((6, 6))
-        self._pixel_products = np.zeros((21, 21))
+        self._units = VarianceComponents(batches)
+        self._pixels = self._units if block == 1 else VarianceComponents(batches)
+        self._pixel_squares = np.zeros((21, 21))
 
     def add(self, batch_values: ArrayLike, weights: ArrayLike, pixels: ArrayLike) -> None:
         """Add the pixels of some whole blocks.
@@ -317,39 +317,22 @@ class InformationAccumulator:
         root = np.sqrt(precision)
         self._count += len(positions)
         mean = np.multiply(values.mean(axis=0), root[:, :, None])[order]
-        self._plain += _gram(mean.reshape(-1, 6))
+        self._plain += gram(mean.reshape(-1, 6))
         if self._block > 1:
-            self._add_blocks(values, root, order, starts)
+            blocks = (whiten(values, root, order[start:stop]) for start, stop in pairwise(starts))
+            self._sum += self._units.add(block_products(blocks)).sum(axis=1)
         if self._block == 1 or self._sampled:
-            self._add_pixels(values, root, order)
-
-    def _add_blocks(self, values: Array, root: Array, order: NDArray[np.intp], starts: list[int]) -> None:
-        grams = np.empty((len(starts) - 1, 6 * self._batches, 6 * self._batches))
-        for gram, (start, stop) in zip(grams, pairwise(starts), strict=True):
-            gram[...] = _gram(_whiten(values, root, order[start:stop]).reshape(-1, 6 * self._batches))
-        products = grams.reshape(-1, self._batches, 6, self._batches, 6)
-        means, covariance = _u_statistics(_block_products(products), self._batches)
-        self._sum += means.sum(axis=1)
-        self._covariance += covariance
-
-    def _add_pixels(self, values: Array, root: Array, order: NDArray[np.intp]) -> None:
-        for start in range(0, len(order), _CHUNK):
-            whitened = _whiten(values, root, order[start : start + _CHUNK])
-            means, covariance = _u_statistics(_pixel_products(whitened), self._batches)
-            if self._block == 1:
-                self._sum += means.sum(axis=1)
-                self._covariance += covariance
-            if self._sampled:
-                self._pixel_products += means @ means.T - covariance
+            for start in range(0, len(order), _CHUNK):
+                chunk = whiten(values, root, order[start : start + _CHUNK])
+                means = self._pixels.add(pixel_products(chunk))
+                self._pixel_squares += gram(means.T)
+                if self._block == 1:
+                    self._sum += means.sum(axis=1)
 
     def information(
         self, *, frame: Frame, variable: str, pose: ArrayLike, length_scale: float, selection: PixelSelection
     ) -> FisherInformation:
         """The information of everything added so far, scaled to the whole image for a random subset.
-
-        For n of N pixels drawn without replacement, F̂ = (N/n) Σ F̂_u and
-        Cov = (N/n)² V + N² (1 − n/N)/n · S²; V is the Monte Carlo covariance of the sum, S² the unbiased
-        covariance between pixels.
 
         Raises:
             PixelsError: nothing was added, more pixels than selected, or a random subset without `sampled`.
@@ -359,12 +342,9 @@ class InformationAccumulator:
             raise PixelsError("no pixels were measured, so there is no information to report")
         if self._count > n or n > N:
             raise PixelsError(f"{self._count} pixels were added, {n} selected, of {N} in the image")
-        factor, covariance = 1.0, self._covariance
-        if selection.kind == "random":
-            factor = N / n
-            covariance = factor**2 * covariance
-            if n < N:
-                covariance = covariance + N**2 * (1.0 - n / N) / n * self._between_pixels(n)
+        factor, covariance = 1.0, self._units.positive
+        if selection.kind == "random" and n < N:
+            factor, covariance = N / n, self._sampled_covariance(n, N)
         return FisherInformation(
             matrix=factor * unpack(self._sum),
             covariance_of_entries=covariance,
@@ -376,14 +356,19 @@ class InformationAccumulator:
             plain_matrix=factor * self._plain,
         )
 
-    def _between_pixels(self, n: int) -> Array:
-        """S², unbiased: Σ_u F_u F_uᵀ from disjoint batch pairs, (Σ F_u)(Σ F_u)ᵀ less its own noise."""
+    def _sampled_covariance(self, n: int, N: int) -> Array:
         if not self._sampled:
             raise PixelsError("a random pixel subset needs InformationAccumulator(batches=..., sampled=True)")
         if n < 2:
             raise PixelsError("a random subset of one pixel has no sampling variance; select at least two")
-        square_of_sum = np.outer(self._sum, self._sum) - self._covariance
-        return (self._pixel_products - square_of_sum / n) / (n - 1)
+        f = n / N
+        squares = self._pixel_squares - np.outer(self._sum, self._sum) / n
+        between = N**2 * (1.0 - f) / n * squares / (n - 1)
+        if self._block > 1:
+            common = self._units.unbiased - self._pixels.unbiased
+            metric = squares + self._units.metric + self._pixels.metric
+            between = positive_part(between + (N / n) ** 2 * (1.0 - f) * n / (n - 1) * common, metric)
+        return between + (N / n) ** 2 * f * self._units.positive
 
     def _order(self, pixels: NDArray[np.integer]) -> tuple[NDArray[np.intp], list[int]]:
         """Sort by block, then by pixel, so that the sums do not depend on the order given."""
@@ -442,77 +427,6 @@ def fisher_information(jacobian: ImageJacobian, noise: NoiseModel) -> FisherInfo
         selection=camera.selection,
     )
     return information.to_frame(jacobian.frame)
-
-
-def pack(matrix: ArrayLike) -> Array:
-    """The upper triangle of symmetric (..., 6, 6) matrices as (..., 21), in `numpy.triu_indices(6)` order."""
-    return np.asarray(matrix, dtype=np.float64)[..., _TRIU[0], _TRIU[1]]
-
-
-def unpack(vector: ArrayLike) -> Array:
-    """The symmetric (..., 6, 6) matrices whose upper triangles are (..., 21): the inverse of `pack`."""
-    values = np.asarray(vector, dtype=np.float64)
-    matrix = np.empty((*values.shape[:-1], 6, 6))
-    matrix[..., _TRIU[0], _TRIU[1]] = values
-    matrix[..., _TRIU[1], _TRIU[0]] = values
-    return matrix
-
-
-def congruence(A: ArrayLike) -> Array:
-    """The (21, 21) matrix T with `pack(Aᵀ F A) = T pack(F)` for every symmetric F."""
-    columns = np.asarray(A, dtype=np.float64)
-    return pack(columns.T @ unpack(np.eye(21)) @ columns).T
-
-
-def _whiten(values: Array, root: Array, index: NDArray[np.intp]) -> Array:
-    """√w J_k of some pixels as (m, C, K, 6), contiguous."""
-    return np.multiply(values[:, index].transpose(1, 2, 0, 3), root[index][:, :, None, None], order="C")
-
-
-def _gram(rows: Array) -> Array:
-    """Aᵀ A of A (r, 6K)."""
-    whole = len(rows) // _ROWS * _ROWS
-    stack = rows[:whole].reshape(-1, _ROWS, rows.shape[1])
-    rest = rows[whole:]
-    return np.asarray((stack.swapaxes(1, 2) @ stack).sum(axis=0) + rest.T @ rest, dtype=np.float64)
-
-
-def _block_products(products: Array) -> Array:
-    """h_kl of every block, (pairs k < l, 21, B), from the blocks' (B, K, 6, K, 6) = J_kᵀ W J_l."""
-    pairs = combinations(range(products.shape[1]), 2)
-    return np.stack([pack(_symmetrised(products[:, k, :, j, :])).T for k, j in pairs])
-
-
-def _pixel_products(whitened: Array) -> Array:
-    """h_kl of every pixel, (pairs k < l, 21, m), from (m, C, K, 6); pixels run last, for long inner loops."""
-    columns = np.ascontiguousarray(whitened.transpose(1, 2, 3, 0))
-    pairs = list(combinations(range(columns.shape[1]), 2))
-    h = np.empty((len(pairs), 21, len(whitened)))
-    for p, (k, j) in enumerate(pairs):
-        for q, (a, b) in enumerate(zip(*_TRIU, strict=True)):
-            h[p, q] = 0.5 * (
-                np.einsum("cm,cm->m", columns[:, k, a], columns[:, j, b])
-                + np.einsum("cm,cm->m", columns[:, k, b], columns[:, j, a])
-            )
-    return h
-
-
-def _u_statistics(h: Array, batches: int) -> tuple[Array, Array]:
-    """F̂ of every unit (block or pixel), (21, B), and the sum over units of its covariance, (21, 21)."""
-    K = batches
-    means = h.mean(axis=0)
-    d = h - means
-    covariance = np.zeros((21, 21))
-    for k in range(K):
-        s_k = d[[k in pair for pair in combinations(range(K), 2)]].sum(axis=0)
-        covariance += _gram(s_k.T)
-    for d_kl in d:
-        covariance -= _gram(d_kl.T)
-    return means, 4.0 / (K * (K - 1) * (K - 2) * (K - 3)) * covariance
-
-
-def _symmetrised(matrices: Array) -> Array:
-    return 0.5 * (matrices + matrices.swapaxes(-1, -2))
 
 
 def _old_from_new(old: Frame, new: Frame, pose: Array) -> Array | None:

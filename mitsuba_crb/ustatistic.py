@@ -1,0 +1,117 @@
+"""The mean of J_kᵀ W J_l over pairs of independent batches, and its variance: a U-statistic of order two.
+
+With h_kl = sym(J_kᵀ W J_l) of one unit (a pixel, or a block of pixels) as 21 numbers, K batches and F̂ their
+mean over k < l, Hoeffding's decomposition h_kl = F + a_k + a_l + e_kl has uncorrelated terms, so that
+
+    Cov[F̂] = 4/K Cov[a] + 2/(K (K−1)) Cov[e].
+
+Both come from an analysis of variance. With d_kl = h_kl − F̂ and s_k = Σ_l d_kl,
+
+    SS_a = Σ_k s_k s_kᵀ / (K−2),      SS_e = Σ_{k<l} d_kl d_klᵀ − SS_a,
+    MS_a = SS_a / (K−1),              MS_e = 2 SS_e / (K (K−3)),
+    Cov[a] ≈ (MS_a − MS_e) / (K−2),   Cov[e] ≈ MS_e,
+
+all unbiased, and free of cancellation against F̂F̂ᵀ. It is the same number as F̂F̂ᵀ less the mean over disjoint
+pairs, [4 Σ_k s_k s_kᵀ − 4 Σ_{k<l} d_kl d_klᵀ] / (K (K−1) (K−2) (K−3)). Of the sum over units, Cov[a] is
+replaced by its positive semi-definite part: where the information is all noise, a = 0 and few units' unbiased
+estimates are often negative, which would look like certainty.
+
+Reference: Hoeffding, "A class of statistics with asymptotically normal distribution", 1948, section 5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .se3 import Array
+from .symmetric import TRIANGLE, pack, positive_part, symmetrised
+
+# Rows of one BLAS call. Larger products wake BLAS's threads, whose barrier costs milliseconds on a busy
+# machine, a hundred times the product itself.
+_ROWS = 128
+
+
+class VarianceComponents:
+    """Sums of squares over units, and the covariance of the sum of their F̂."""
+
+    def __init__(self, batches: int) -> None:
+        self._batches = batches
+        self._linear = np.zeros((21, 21))
+        self._degenerate = np.zeros((21, 21))
+
+    def add(self, h: Array) -> Array:
+        """Add units with products h (pairs k < l, 21, units); returns their F̂ (21, units)."""
+        K = self._batches
+        mean: Array = h.mean(axis=0)
+        d = h - mean
+        pairs = list(combinations(range(K), 2))
+        s = (d[[k in pair for pair in pairs]].sum(axis=0) for k in range(K))
+        linear = sum(gram(s_k.T) for s_k in s) / (K - 2)
+        self._linear += linear
+        self._degenerate += sum(gram(d_kl.T) for d_kl in d) - linear
+        return mean
+
+    def _parts(self) -> tuple[Array, Array, Array]:
+        """4/K Cov[a], 2/(K(K−1)) Cov[e] and MS_a + MS_e."""
+        K = self._batches
+        MS_a = self._linear / (K - 1)
+        MS_e = 2.0 * self._degenerate / (K * (K - 3))
+        return 4.0 / (K * (K - 2)) * (MS_a - MS_e), 2.0 / (K * (K - 1)) * MS_e, MS_a + MS_e
+
+    @property
+    def unbiased(self) -> Array:
+        """(21, 21), Cov of ΣF̂ without bias; possibly indefinite."""
+        linear, degenerate, _ = self._parts()
+        return linear + degenerate
+
+    @property
+    def positive(self) -> Array:
+        """(21, 21), Cov of ΣF̂, positive semi-definite."""
+        linear, degenerate, metric = self._parts()
+        return positive_part(linear, metric) + degenerate
+
+    @property
+    def metric(self) -> Array:
+        """(21, 21), positive semi-definite, of the covariance's order of magnitude."""
+        return self._parts()[2]
+
+
+def whiten(values: Array, root: Array, index: NDArray[np.intp]) -> Array:
+    """√w J_k of some pixels, (m, C, K, 6), from (K, n, C, 6) and √w (n, C)."""
+    return np.multiply(values[:, index].transpose(1, 2, 0, 3), root[index][:, :, None, None], order="C")
+
+
+def gram(rows: Array) -> Array:
+    """Aᵀ A of A (r, c)."""
+    whole = len(rows) // _ROWS * _ROWS
+    stack = rows[:whole].reshape(-1, _ROWS, rows.shape[1])
+    rest = rows[whole:]
+    return np.asarray((stack.swapaxes(1, 2) @ stack).sum(axis=0) + rest.T @ rest, dtype=np.float64)
+
+
+def block_products(blocks: Iterable[Array]) -> Array:
+    """h_kl of every block, (pairs k < l, 21, B), from each block's whitened (m, C, K, 6)."""
+    grams = np.stack([gram(block.reshape(-1, block.shape[2] * 6)) for block in blocks])
+    K = grams.shape[1] // 6
+    products = grams.reshape(-1, K, 6, K, 6)
+    pairs = combinations(range(K), 2)
+    return np.stack([pack(symmetrised(products[:, k, :, j, :])).T for k, j in pairs])
+
+
+def pixel_products(whitened: Array) -> Array:
+    """h_kl of every pixel, (pairs k < l, 21, m), from (m, C, K, 6)."""
+    # Pixels run last, for long inner loops.
+    columns = np.ascontiguousarray(whitened.transpose(1, 2, 3, 0))
+    pairs = list(combinations(range(columns.shape[1]), 2))
+    h = np.empty((len(pairs), 21, len(whitened)))
+    for p, (k, j) in enumerate(pairs):
+        for q, (a, b) in enumerate(zip(*TRIANGLE, strict=True)):
+            h[p, q] = 0.5 * (
+                np.einsum("cm,cm->m", columns[:, k, a], columns[:, j, b])
+                + np.einsum("cm,cm->m", columns[:, k, b], columns[:, j, a])
+            )
+    return h
