@@ -45,7 +45,7 @@ def bound_page() -> None:
 
 
 def columns() -> None:
-    """Automatic differentiation of the renderer sees nothing in a checkerboard; the material form sees all."""
+    """Automatic differentiation sees nothing in a checkerboard; the material form sees all."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BlindSpotWarning)
         both = {
