@@ -36,6 +36,8 @@ class EdgeTable:
     """(F, 3) face normals, of length twice the area [scene unit²]."""
     points: Floats
     """(F, 3) a vertex of each face [scene unit]."""
+    open_face: Ints
+    """(E,) the face of an open edge, as numbered when given; −1 for edges that are not open."""
     open_edges: Ints
     """(faces given, 3) the open edges of each face, −1 in place of others."""
     dropped: int
@@ -67,6 +69,8 @@ class EdgeTable:
         open_edges = np.full((len(faces), 3), -1)
         alone = order[first[:-1][count == 1]]
         open_edges[face[alone // 3], alone % 3] = np.flatnonzero(count == 1)
+        open_face = np.full(len(unique), -1)
+        open_face[count == 1] = face[alone // 3]
         return EdgeTable(
             ends=positions[np.stack([unique // len(positions), unique % len(positions)], axis=1)],
             first=first,
@@ -74,6 +78,7 @@ class EdgeTable:
             half_sign=np.where(start < end, 1, -1).astype(np.int8)[order],
             normals=normals[face],
             points=corner[face, 0],
+            open_face=open_face,
             open_edges=open_edges,
             dropped=len(faces) - len(face),
         )
@@ -103,6 +108,29 @@ class EdgeTable:
             sign = np.where(height >= 0.0, self.half_sign[half], -self.half_sign[half])
             low[has], high[has] = np.minimum(low[has], sign), np.maximum(high[has], sign)
         return np.where(low == high, low, np.int8(0))
+
+    def repeats(self, edges: Ints, hit: Ints, points: Floats, tolerance: Floats) -> NDArray[np.bool_]:
+        """Which points of open edges another open edge stands for, the one of the face that is seen there.
+
+        Where two surfaces meet without sharing vertices (a box of six rectangles, a long edge along two short
+        ones), both list the edge as open, and the contour would count twice.
+
+        Args:
+            edges: (n,) indices.
+            hit: (n,) the face seen beside each point, as numbered when given; −1 for none.
+            points: (n, 3) in the world.
+            tolerance: (n,) distance within which edges coincide [scene unit].
+        """
+        other = np.where((self.open_face[edges] >= 0) & (hit >= 0) & (hit != self.open_face[edges]), hit, -1)
+        repeated = np.zeros(len(edges), dtype=bool)
+        for j in range(3):
+            has = np.flatnonzero((other >= 0) & (self.open_edges[other, j] >= 0))
+            ends = self.ends[self.open_edges[other[has], j]]
+            along, to_point = ends[:, 1] - ends[:, 0], points[has] - ends[:, 0]
+            s = np.einsum("ij,ij->i", to_point, along) / np.einsum("ij,ij->i", along, along)
+            distance = np.linalg.norm(to_point - s[:, None] * along, axis=1)
+            repeated[has] |= (s > 0.0) & (s < 1.0) & (distance < tolerance[has])
+        return repeated
 
     def candidates(self, centre: Floats, axis: Floats, lens_radius: float) -> Ints:
         """Edges that are a contour from some point of a lens; of a pinhole's (radius 0): its contours.
