@@ -34,6 +34,9 @@ from .symmetric import congruence, pack
 LARGEST_RELATIVE_ERROR = 0.1
 """A standard deviation whose relative standard error exceeds this raises a `PrecisionWarning`."""
 
+LARGEST_NOISE_FLOOR = 1e-3
+"""A noise floor above this fraction of the largest eigenvalue may hide what more samples would show."""
+
 _POSITION_NAMES = ("x", "y", "z")
 _ROTATION_NAMES = ("pitch", "yaw", "roll")
 # Off-diagonal entries of a symmetric matrix occur twice in a trace but once in `pack`.
@@ -62,6 +65,8 @@ class PoseBound:
     """(6,), descending, of the information in the camera frame with translation in length scales."""
     eigenvalues_standard_error: Array
     """(6,), their standard errors."""
+    noise_floor: float
+    """λ_99: an unseen direction carries less information than this, in the eigenvalues' unit; 0 at rank 6."""
     information: FisherInformation
     """The information used, the prior included."""
     frame: Frame
@@ -118,6 +123,7 @@ class PoseBound:
             "rotation_std_deg_standard_error": _jsonable(self.rotation_std_deg_standard_error),
             "eigenvalues": _jsonable(self.eigenvalues),
             "eigenvalues_standard_error": _jsonable(self.eigenvalues_standard_error),
+            "noise_floor": self.noise_floor,
             "rank": self.rank,
             "unobserved": [
                 {"direction": _jsonable(u.direction), "description": u.description} for u in self.unobserved
@@ -159,7 +165,8 @@ def cramer_rao_bound(
         OptionError: the prior is no symmetric positive semi-definite 6 x 6 matrix.
 
     Warns:
-        PrecisionWarning: a standard deviation is uncertain by more than 10 %.
+        PrecisionWarning: a standard deviation is uncertain by more than 10 %, or noise hides so much that
+            unseen directions may only be unresolved.
 
     References:
         van Trees, "Detection, Estimation, and Modulation Theory", part I, 1968, sections 2.4.2 and 2.4.3.
@@ -190,6 +197,7 @@ def cramer_rao_bound(
         ),
         eigenvalues=eigenvalues,
         eigenvalues_standard_error=eigenvalue_errors,
+        noise_floor=inverse.identifiability.threshold,
         information=inverse.total.to_frame(information.frame),
         frame=information.frame,
         length_scale=inverse.length_scale,
@@ -373,6 +381,14 @@ def _warn_of_imprecision(bound: PoseBound) -> None:
         warnings.warn(
             f"the bound on {name} is uncertain by {relative[worst]:.0%} and may be too large; "
             f"about {factor} times the samples would bring that to {LARGEST_RELATIVE_ERROR:.0%}",
+            PrecisionWarning,
+            stacklevel=3,
+        )
+    floor = bound.noise_floor / max(float(bound.eigenvalues[0]), np.finfo(float).tiny)
+    if bound.unobserved and LARGEST_NOISE_FLOOR < floor < np.inf and bound.rank > 0:
+        warnings.warn(
+            f"unseen means less than {floor:.1%} of the best-seen direction's information, which is all that "
+            "so few samples tell; what is weaker than that needs more of them",
             PrecisionWarning,
             stacklevel=3,
         )
