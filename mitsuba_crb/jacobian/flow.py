@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from .contours import Contours, find_contours, parallax_term
 from .pairs import GOLDEN, BoxPairs, PairSample, SmoothPairs, filter_pairs
+from .paths import IntegratorTracer, PathTracer, tracer
 from .pixels import (
     PILOT,
     PixelFilter,
@@ -37,7 +38,6 @@ from .pixels import (
     lanes,
     move_ray,
     opaque_transform,
-    radiance,
     render_pixels,
 )
 from .view_term import ViewTerm
@@ -58,6 +58,7 @@ class Prepared:
     pairs: SmoothPairs | BoxPairs
     view_term: ViewTerm | None
     contours: Contours
+    tracer: PathTracer | IntegratorTracer
     transform: mi.Transform4f
     """World from camera."""
     focal: mi.Vector2f
@@ -75,6 +76,7 @@ def prepare(view: View) -> Prepared:
     """
     import mitsuba as mi
 
+    camera_paths = tracer(view)
     width, height = view.size
     film = mi.Point2f([0.0, width], [0.0, height])
     ray, _ = camera_ray(view, film, mi.Point2f(0.5, 0.5))
@@ -82,8 +84,9 @@ def prepare(view: View) -> Prepared:
     focal = np.array([width, height]) / (tangent[:, 1] - tangent[:, 0])
     return Prepared(
         filter_pairs(PixelFilter.of(view)),
-        ViewTerm.of(view),
+        ViewTerm.of(view, camera_paths),
         find_contours(view),
+        camera_paths,
         opaque_transform(view.pose),
         mi.Vector2f(*(dr.opaque(mi.Float, float(value)) for value in focal)),
     )
@@ -179,7 +182,6 @@ def _sum_pairs(
 
     pairs, transform = prepared.pairs, prepared.transform
     view_term: Any = prepared.view_term
-    hit_flags = mi.RayFlags.Minimal if view_term is None else mi.RayFlags.ShadingFrame
     world_to_camera = transform.inverse()
     columns = [mi.Color3f(0.0) for _ in range(6)]
     image = mi.Color3f(0.0)
@@ -206,18 +208,20 @@ def _sum_pairs(
 
         ray, importance = camera_ray(view, centre + mi.Vector2f(half.offset), path_sampler.next_2d())
         world_ray = move_ray(ray, transform)
-        hit = view.scene.ray_intersect(world_ray, hit_flags, True)
-        to_lens = ray.o.z / ray.d.z
-        lens = mi.Point3f(ray.o - to_lens * ray.d)
-
         if dr.hint(view_term is not None, mode="scalar"):
             angle = path_sampler.next_1d()
             shifted_sampler = path_sampler.clone()
-        light = importance * radiance(view, path_sampler, world_ray)
+        seen = prepared.tracer.trace(view, path_sampler, world_ray)
         rng = mi.PCG32(path_sampler.rng)
+        light = importance * seen.light
 
-        normal = world_to_camera @ mi.Vector3f(hit.n)
-        weights = _divergences(half, ray, lens, hit.is_valid(), hit.t + to_lens, normal, prepared.focal)
+        to_lens = ray.o.z / ray.d.z
+        lens = mi.Point3f(ray.o - to_lens * ray.d)
+        # Not hit.t: where the integrator skips emitters it counts from the last one.
+        distance = to_lens + dr.dot(seen.hit.p - world_ray.o, world_ray.d)
+        normal = world_to_camera @ mi.Vector3f(seen.hit.n)
+        valid = seen.hit.is_valid()
+        weights = _divergences(half, ray, lens, valid, distance, normal, prepared.focal)
         for k in range(6):
             columns[k] += (light - baseline) * weights[k]
         # With the baseline: the weights' own noise, whose mean is 1, would otherwise scale the whole image.
@@ -225,13 +229,14 @@ def _sum_pairs(
 
         if dr.hint(view_term is not None, mode="scalar"):
             tangent = _tangent(ray.d, angle, mirrored)
-            change = view_term.difference(
-                view, shifted_sampler, world_ray, hit, hit.t + to_lens, light, transform @ tangent
+            change = view_term.along(
+                view, prepared.tracer, shifted_sampler, world_ray, seen, distance, transform @ tangent
             )
+            change *= importance * half.value
             turning = dr.cross(lens, tangent)
             for k in range(3):
-                columns[k] += change * (half.value * tangent[k])
-                columns[k + 3] += change * (half.value * turning[k])
+                columns[k] += change * tangent[k]
+                columns[k + 3] += change * turning[k]
         i += 1
     return columns, image + baseline
 

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 import numpy as np
 
-from .pixels import radiance
+from .paths import IntegratorTracer, PathTracer, Seen
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -36,25 +36,28 @@ HORIZON_STEP_PIXELS = 1.0
 BEFORE = 1e-3
 """Where the shifted ray starts before p, over its distance."""
 
-NONE, HORIZON, DIFFERENCE = range(3)
-"""What a surface needs: nothing, a difference near its shading horizon, a difference everywhere."""
+NONE, HORIZON, LOBES, DIFFERENCE = range(4)
+"""What a material needs: nothing, a difference across its shading horizon, the derivative of its lobes (and a
+difference across its horizon), a difference everywhere."""
 
 
 @dataclass(frozen=True)
 class ViewTerm:
-    """What the surfaces of a scene need, by material."""
+    """What the surfaces of a scene need."""
 
     needs: mi.UInt32
     """By the material's index in Dr.Jit's registry."""
-    smooth_normals: bool
-    """Whether any surface's shading normals are interpolated between vertices."""
+    lobes: bool
+    """Whether any material needs the derivative of its lobes."""
+    jumps: bool
+    """Whether any surface needs differences."""
     step: mi.Float
     """δ over the distance of p, where radiance varies with direction [rad]."""
     horizon_step: mi.Float
     """The same at the shading horizon [rad]."""
 
     @staticmethod
-    def of(view: View) -> ViewTerm | None:
+    def of(view: View, tracer: PathTracer | IntegratorTracer) -> ViewTerm | None:
         """What the scene needs; None if its materials are diffuse and its shading normals geometric."""
         import mitsuba as mi
 
@@ -62,65 +65,110 @@ class ViewTerm:
         bsdfs = [node for node in nodes if isinstance(node, mi.BSDF)]
         smooth_normals = any(_interpolates_normals(node) for node in nodes if isinstance(node, mi.Shape))
         index = [int(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(bsdf))[0]) for bsdf in bsdfs]
-        found = [_need(bsdf) for bsdf in bsdfs]
-        if not smooth_normals and not any(found):
+        # Without the light that arrives, a difference is all there is.
+        found = [_need(bsdf, DIFFERENCE if isinstance(tracer, IntegratorTracer) else LOBES) for bsdf in bsdfs]
+        lobes = LOBES in found
+        jumps = smooth_normals or HORIZON in found or DIFFERENCE in found
+        if not lobes and not jumps:
             return None
         needs = np.full(max(index) + 1, DIFFERENCE, dtype=np.uint32)
         needs[index] = found
         pixel = 1.0 / view.focal_pixels
         return ViewTerm(
             mi.UInt32(needs),
-            smooth_normals,
+            lobes,
+            jumps,
             dr.opaque(mi.Float, STEP_PIXELS * pixel),
             dr.opaque(mi.Float, HORIZON_STEP_PIXELS * pixel),
         )
 
-    def difference(
+    def along(
         self,
         view: View,
+        tracer: PathTracer | IntegratorTracer,
         sampler: mi.Sampler,
         ray: mi.Ray3f,
-        hit: mi.SurfaceInteraction3f,
+        seen: Seen,
         distance: mi.Float,
-        light: mi.Color3f,
         tangent: mi.Vector3f,
     ) -> mi.Color3f:
-        """2 [L(p, a + δt) − L(p, a)]/δ [radiance / scene unit]; zero where nothing is needed.
+        """2 ∂L/∂a·t [radiance / scene unit]; zero where nothing is needed.
 
         Args:
-            sampler: in the state in which `light` was traced.
+            sampler: in the state in which `seen` was traced.
             ray: the camera ray in the world.
+            seen: what `tracer` found along it.
             distance: from the lens point to the hit [scene unit].
-            light: radiance along `ray`.
             tangent: t, normal to the ray, in the world.
         """
         import mitsuba as mi
 
+        hit = seen.hit
         index = dr.reinterpret_array(mi.UInt32, hit.bsdf())
         need = dr.gather(mi.UInt32, self.needs, index, hit.is_valid())
-        everywhere = need == DIFFERENCE
-        step = dr.select(everywhere, self.step, self.horizon_step)
-        at_horizon = need == HORIZON
-        if self.smooth_normals:
-            turned = dr.abs(dr.dot(hit.sh_frame.n, hit.n)) < 1.0 - 1e-6
-            near = dr.abs(dr.dot(hit.sh_frame.n, ray.d)) < 2.0 * step
-            at_horizon |= turned & near
-        needed = hit.is_valid() & (everywhere | at_horizon)
-        direction = dr.normalize(ray.d - step * tangent)
-        start = mi.Point3f(hit.p - direction * (BEFORE * distance))
-        shifted = radiance(view, sampler, mi.Ray3f(start, direction), needed)
-        return dr.select(needed, (shifted - light) * (2.0 * dr.rcp(step * distance)), 0.0)
+        change = mi.Color3f(0.0)
+        if self.lobes:
+            turned = _turn_of_lobes(seen, tangent, hit.is_valid() & (need == LOBES))
+            change = turned * (2.0 * dr.rcp(distance))
+        if self.jumps:
+            everywhere = need == DIFFERENCE
+            step = dr.select(everywhere, self.step, self.horizon_step)
+            direction = dr.normalize(ray.d - step * tangent)
+            crosses = dr.dot(hit.sh_frame.n, ray.d) * dr.dot(hit.sh_frame.n, direction) <= 0.0
+            needed = everywhere | crosses | ((need == HORIZON) & _frame_flips(hit, direction))
+            needed &= hit.is_valid()
+            start = mi.Point3f(hit.p - direction * (BEFORE * distance))
+            shifted = tracer.radiance(view, sampler, mi.Ray3f(start, direction), needed)
+            change[needed] = (shifted - seen.light) * (2.0 * dr.rcp(step * distance))
+        return dr.select(hit.is_valid(), change, 0.0)
 
 
-def _need(bsdf: mi.BSDF) -> int:
+def _turn_of_lobes(seen: Seen, tangent: mi.Vector3f, active: mi.Bool) -> mi.Color3f:
+    """Derivative of Σ f(ω, ω_i) E_i as ω turns towards a unit tangent [radiance / rad]."""
     import mitsuba as mi
 
-    smooth = mi.BSDFFlags.Diffuse | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
-    smooth |= mi.BSDFFlags.SpatiallyVarying | mi.BSDFFlags.Anisotropic | mi.BSDFFlags.NonSymmetric
-    if int(bsdf.flags()) & ~int(smooth):
+    si = mi.SurfaceInteraction3f(seen.hit)
+    bsdf = si.bsdf()
+    total = mi.Color3f(0.0)
+    with dr.resume_grad():
+        angle = mi.Float(0.0)
+        dr.enable_grad(angle)
+        si.wi = dr.normalize(si.wi + angle * si.to_local(tangent))
+        for direction, light in seen.incident:
+            value = bsdf.eval(mi.BSDFContext(), si, direction, active)
+            total += value * light
+        dr.forward_from(angle)
+        return mi.Color3f(dr.grad(total))
+
+
+def _frame_flips(hit: mi.SurfaceInteraction3f, direction: mi.Vector3f) -> mi.Bool:
+    """Whether a diffuse material's own shading normal (normal, bump map) sees the camera from another side.
+
+    The normal is the material's secret, but f towards fixed directions is constant until the view crosses it.
+    """
+    import mitsuba as mi
+
+    bsdf = hit.bsdf()
+    turned = mi.SurfaceInteraction3f(hit)
+    turned.wi = hit.to_local(-direction)
+    flips = mi.Bool(False)
+    for side in (1.0, -1.0):
+        probe = dr.normalize(mi.Vector3f(0.5 * side, 0.3 * side, dr.sign(hit.wi.z)))
+        before = bsdf.eval(mi.BSDFContext(), hit, probe)
+        flips |= dr.any(before != bsdf.eval(mi.BSDFContext(), turned, probe))
+    return flips
+
+
+def _need(bsdf: mi.BSDF, glossy: int) -> int:
+    import mitsuba as mi
+
+    flags = int(bsdf.flags())
+    mapped = {"BumpMap", "NormalMap"} & {node.class_name() for node in _contents(bsdf)}
+    if flags & int(mi.BSDFFlags.Delta | mi.BSDFFlags.Delta1D | mi.BSDFFlags.Null):
         return DIFFERENCE
-    names = {node.class_name() for node in _contents(bsdf)}
-    return HORIZON if names & {"BumpMap", "NormalMap"} else NONE
+    if flags & int(mi.BSDFFlags.Glossy):
+        return DIFFERENCE if mapped else glossy
+    return HORIZON if mapped else NONE
 
 
 def _contents(root: mi.Object) -> list[mi.Object]:
