@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .jacobian import finite_difference
-from .jacobian.pixels import camera_ray, first_hits, move_ray, opaque_transform
+from .jacobian.pixels import camera_ray, coarse_grid, first_hits, move_ray, opaque_transform
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -44,8 +44,7 @@ def precision_findings(view: View, length_scale: float) -> list[str]:
 
 def discontinuities(view: View) -> list[str]:
     """Names of what jumps in this view: textures, silhouettes, shadows, each as a phrase."""
-    columns, rows = (np.unique(np.linspace(0, n - 1, min(n, _GRID)).astype(np.int64)) for n in view.size)
-    grid = np.stack(np.meshgrid(columns, rows), axis=-1)
+    grid = coarse_grid(view.size, _GRID)
     hit, depth = first_hits(view, grid.reshape(-1, 2))
     found = _textures(view.scene)
     if _has_silhouettes(view, hit, depth, grid):

@@ -280,7 +280,9 @@ class _Measurement:
         """The noise model and where it came from."""
         if model is not None:
             return model, "given"
-        pilot = self._pilot(_pilot_grid(self.view.size))
+        from .jacobian.pixels import coarse_grid
+
+        pilot = self._pilot(coarse_grid(self.view.size, _PILOT_GRID).reshape(-1, 2))
         finite = pilot[np.isfinite(pilot)]
         white = float(np.percentile(finite, 99.0)) if finite.size else 0.0
         if not white > 0.0:
@@ -352,10 +354,9 @@ def _measurement(
 ) -> Iterator[_Measurement]:
     _check_options(method, spp, seed, batches, tile)
     with open_view(scene, sensor=sensor, pose=pose, integrator=integrator, size=size) as view:
-        from .jacobian.pixels import first_hits
+        from .jacobian.pixels import visible_depth
 
-        _, depth = first_hits(view, _pilot_grid(view.size))
-        visible = depth[np.isfinite(depth) & (depth > 0)]
+        visible = visible_depth(view)
         yield _Measurement(
             view=view,
             method=method,
@@ -386,11 +387,6 @@ def _check_options(method: str, spp: int, seed: int, batches: int, tile: int) ->
         raise OptionError(f"seed must lie in [0, 2^64); got {seed}")
     if tile <= 0 or tile % BLOCK:
         raise OptionError(f"tile must be a positive multiple of {BLOCK} pixels; got {tile}")
-
-
-def _pilot_grid(size: tuple[int, int]) -> NDArray[np.int64]:
-    columns, rows = (np.unique(np.linspace(0, n - 1, min(n, _PILOT_GRID)).astype(np.int64)) for n in size)
-    return np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
 
 
 def versions() -> dict[str, str]:

@@ -4,8 +4,9 @@
 
 Both renders use the same random numbers, so their noise cancels where the image is smooth. The step h_i is
 given in pixels of image motion (0.15, a fraction of the reconstruction filter, which is what smooths the
-image in the pose); translation steps are capped at 0.05 length scales. The bias is h²/6 times a third
-derivative. Almost assumption-free, at the price of twelve renders. Source: design section 4.3.
+image in the pose), for translation at the near end of what is visible, and at most 0.05 length scales. The
+bias is h²/6 times a third derivative. Almost assumption-free, at the price of twelve renders.
+Source: design section 4.3.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
-from .pixels import render_pixels
+from .pixels import render_pixels, visible_depth
 
 if TYPE_CHECKING:
     from ..scene import View
@@ -25,18 +26,22 @@ BLOCK = 1
 """Side of the film blocks whose errors are independent [pixel]: every pixel has its own samples."""
 STEP_PIXELS = 0.15
 """Image motion of one step [pixel]."""
+NEAR_PERCENTILE = 5.0
+"""Percentile of the visible depth at which a translation step moves the image by that much."""
 
 
 def steps(view: View, length_scale: float, step_pixels: float = STEP_PIXELS) -> NDArray[np.float64]:
     """Step h of each twist component, translation [scene unit] then rotation [rad].
 
     Args:
-        length_scale: depth at which a translation moves the image by `step_pixels` [scene unit].
+        length_scale: median visible depth; caps the translation steps [scene unit].
     """
     focal = view.focal_pixels
     radius = float(np.hypot(*view.size)) / np.sqrt(12.0)
     angle = step_pixels / np.array([focal, focal, max(radius, 1.0)])
-    shift = np.minimum(angle, 0.05) * length_scale
+    depth = visible_depth(view, most=32)
+    near = float(np.percentile(depth, NEAR_PERCENTILE)) if depth.size else length_scale
+    shift = np.minimum(angle * near, 0.05 * length_scale)
     return np.concatenate([shift, angle])
 
 

@@ -288,6 +288,18 @@ def sum_samples(
     return total
 
 
+def coarse_grid(size: tuple[int, int], most: int) -> NDArray[np.int64]:
+    """At most `most` x `most` pixels, evenly over a width x height image: (rows, columns, 2)."""
+    columns, rows = (np.unique(np.linspace(0, n - 1, min(n, most)).astype(np.int64)) for n in size)
+    return np.stack(np.meshgrid(columns, rows), axis=-1)
+
+
+def visible_depth(view: View, most: int = 96) -> NDArray[np.float64]:
+    """Finite depths along the optical axis through a coarse grid of pixels [scene unit]."""
+    _, depth = first_hits(view, coarse_grid(view.size, most).reshape(-1, 2))
+    return depth[np.isfinite(depth) & (depth > 0)]
+
+
 def first_hits(view: View, pixels: NDArray[np.int64]) -> tuple[mi.SurfaceInteraction3f, NDArray[np.float64]]:
     """First surface through each pixel's centre, and its depth along the optical axis [scene unit]."""
     import mitsuba as mi
