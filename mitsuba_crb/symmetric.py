@@ -44,10 +44,15 @@ def symmetrised(matrices: Array) -> Array:
 
 
 def positive_part(matrix: Array, metric: Array) -> Array:
-    """The part of a symmetric matrix A that is positive semi-definite, relative to a metric W ⪰ 0.
+    """A positive semi-definite stand-in for a symmetric estimate A of a covariance, relative to W ⪰ 0.
 
-    The negative generalised eigenvalues of A v = λ W v become zero. Eigenvalues of A alone would depend on
-    units, since its entries have different ones; these do not. A must vanish where W does.
+    The negative generalised eigenvalues of A v = λ W v become zero; eigenvalues of A alone would depend on
+    units, as its entries have different ones. That makes the diagonal larger, so rows and columns are then
+    scaled down to A's own diagonal, or to zero where that is negative: variances stay unbiased but for that.
+
+    Args:
+        matrix: (n, n), A; it must vanish where W does.
+        metric: (n, n), W, positive semi-definite and of the size of A.
     """
     diagonal = np.diagonal(metric)
     d = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
@@ -56,6 +61,9 @@ def positive_part(matrix: Array, metric: Array) -> Array:
     root = d[:, None] * vectors[:, kept] * np.sqrt(values[kept])
     inverse_root = vectors[:, kept] / np.sqrt(values[kept]) / d[:, None]
     generalised, axes = np.linalg.eigh(inverse_root.T @ matrix @ inverse_root)
-    axes = root @ axes[:, generalised > 0.0]
-    positive: Array = (axes * generalised[generalised > 0.0]) @ axes.T
+    axes = root @ axes[:, generalised > 0.0] * np.sqrt(generalised[generalised > 0.0])
+    norms = np.linalg.norm(axes, axis=1)
+    wanted = np.sqrt(np.maximum(np.diagonal(matrix), 0.0))
+    axes *= np.divide(wanted, norms, out=np.zeros_like(norms), where=norms > 0.0)[:, None]
+    positive: Array = axes @ axes.T
     return positive

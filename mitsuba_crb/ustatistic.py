@@ -13,8 +13,8 @@ Both come from an analysis of variance. With d_kl = h_kl − F̂ and s_k = Σ_l 
 
 all unbiased, and free of cancellation against F̂F̂ᵀ. It is the same number as F̂F̂ᵀ less the mean over disjoint
 pairs, [4 Σ_k s_k s_kᵀ − 4 Σ_{k<l} d_kl d_klᵀ] / (K (K−1) (K−2) (K−3)). Of the sum over units, Cov[a] is
-replaced by its positive semi-definite part: where the information is all noise, a = 0 and few units' unbiased
-estimates are often negative, which would look like certainty.
+replaced by its `positive_part`: where the information is all noise, a = 0, and few units' unbiased estimates
+are often negative, which would look like certainty.
 
 Reference: Hoeffding, "A class of statistics with asymptotically normal distribution", 1948, section 5.
 """
@@ -70,7 +70,7 @@ class VarianceComponents:
 
     @property
     def positive(self) -> Array:
-        """(21, 21), Cov of ΣF̂, positive semi-definite."""
+        """(21, 21), Cov of ΣF̂, positive semi-definite, and unbiased where there are many units."""
         linear, degenerate, metric = self._parts()
         return positive_part(linear, metric) + degenerate
 
