@@ -121,6 +121,8 @@ def _sum_blocks(
     slot = _slots(contours, blocks, pixels)
     samples = _draw(contours, blocks, count, seed, batches)
     samples = samples.part(_near(contours, slot, blocks, samples))
+    if not len(samples.pair):
+        return np.zeros((batches, n, 3, 6))
 
     # Where they land, and which of them show and touch a selected pixel.
     piece, start = contours.piece[samples.pair], contours.cumulative[samples.pair]

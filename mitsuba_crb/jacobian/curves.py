@@ -321,7 +321,7 @@ def _in_front(ends: Floats, point: Floats, exists: Bools, lens: Lens) -> tuple[F
 def _clip(ends: Floats, box: Floats) -> tuple[Floats, Floats]:
     """First and last fraction of film lines (n, 2, 2) inside rectangles (n, 4) (Liang and Barsky 1984)."""
     along = ends[:, 1] - ends[:, 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         low = (box[:, :2] - ends[:, 0]) / along
         high = (box[:, 2:] - ends[:, 0]) / along
     inside = (ends[:, 0] >= box[:, :2]) & (ends[:, 0] <= box[:, 2:])
@@ -365,7 +365,7 @@ def _cut_bows(bows: Curves, lens: Lens, frame: Floats) -> Curves:
     right, up, left = (bows.bows(np.full(n, t), centre)[0][:, 2] for t in (0.0, np.pi / 2.0, np.pi))
     middle = 0.5 * (right + left)
     cosine, sine = right - middle, up - middle
-    amplitude = np.maximum(np.hypot(cosine, sine), np.finfo(float).tiny)
+    amplitude = np.maximum(np.hypot(cosine, sine), 1e-12 * np.abs(middle) + np.finfo(float).tiny)
     half = np.arccos(np.clip((lens.near - middle) / amplitude, -1.0, 1.0))
     nearest = np.arctan2(sine, cosine)
     exists = bows.bows(nearest, centre)[3] & (half > 0.0)

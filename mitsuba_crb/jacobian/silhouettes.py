@@ -3,8 +3,9 @@
 Curves are cut into pieces that are short on the film. A block draws from the pieces that reach its pixels, in
 proportion to film length, to the largest jump of inverse depth they can make, and to what two probes of each
 piece saw of it; pieces that both probes found hidden keep a share, for they may show in between. A point
-counts if rays just beside it say so: the nearer hit lies on the surface's side, and the curve's inverse depth
-is closer to its than to the other's. Source: design section 4.1; Zhang et al. 2023, Projective Sampling.
+counts if rays just beside it say so: the nearer hit lies on the surface's side, and its inverse depth and the
+curve's are closer to one another than to the other hit's. Source: design section 4.1; Zhang et al. 2023,
+Projective Sampling.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
@@ -22,6 +23,7 @@ from ..errors import BlindSpotWarning
 from ..information import BLOCK
 from .curves import EDGE, Curves, Lens, Placed, bounds, cut, place
 from .edges import EdgeTable
+from .paths import first_hit
 from .pixels import PixelFilter, camera_ray, download, move_ray, opaque_transform, upload
 from .surfaces import edge_table, first_faces, smooth_curves, without_contours
 
@@ -99,7 +101,8 @@ class Contours:
         inner, face = self._first_hit(placed.film + ASIDE * placed.normal, aperture)
         outer, _ = self._first_hit(placed.film - ASIDE * placed.normal, aperture)
         contour = 1.0 / placed.seen[:, 2]
-        shows = (inner > outer) & (np.abs(inner - contour) < np.abs(outer - contour)) & (placed.length > 0.0)
+        apart = np.minimum(inner - outer, np.abs(contour - outer))
+        shows = (np.abs(inner - contour) < apart) & (placed.length > 0.0)
         edge = np.flatnonzero(shows & (self.pieces.kind[piece] == EDGE))
         world = self.pose[:3, 3] + (placed.seen + point)[edge] @ self.pose[:3, :3].T
         tolerance = 2.0 * ASIDE * np.abs(self.lens.scale).max() * placed.seen[edge, 2]
@@ -111,8 +114,16 @@ class Contours:
         import mitsuba as mi
 
         ray, _ = self.ray(film, aperture)
-        hit = self.view.scene.ray_intersect_preliminary(move_ray(ray, opaque_transform(self.pose)))
-        inverse_depth = dr.select(hit.is_valid(), dr.rcp(dr.fma(hit.t, ray.d.z, ray.o.z)), 0.0)
+        world_ray = move_ray(ray, opaque_transform(self.pose))
+        hit: Any
+        if self.view.integrator.hide_emitters:
+            hit = first_hit(self.view, world_ray)
+            distance = dr.dot(hit.p - world_ray.o, world_ray.d)
+        else:
+            hit = self.view.scene.ray_intersect_preliminary(world_ray)
+            distance = hit.t
+        depth = dr.fma(distance, ray.d.z, ray.o.z)
+        inverse_depth = dr.select(hit.is_valid(), dr.rcp(depth), 0.0)
         shape = dr.select(hit.is_valid(), dr.reinterpret_array(mi.UInt32, hit.shape), 0)
         dr.eval(inverse_depth, shape, hit.prim_index)
         start = self.first_face[np.array(shape, dtype=np.int64)]
