@@ -170,9 +170,7 @@ class TestCovarianceOfEntries:
             actual = accumulator._units.unbiased
             np.testing.assert_allclose(actual, expected, atol=1e-9 * np.abs(expected).max())
 
-    @pytest.mark.parametrize(
-        ("size", "block", "common"), [((16, 32), 1, 0.0), ((48, 64), 16, 0.0), ((48, 64), 16, 0.3)]
-    )
+    @pytest.mark.parametrize(("size", "block", "common"), [((16, 32), 1, 0.0), ((48, 64), 16, 0.3)])
     def test_it_is_the_covariance_of_repetitions(self, size, block, common):
         """Sample variances of 250 runs have a relative error of 9 %; 21 of them stay within 4 errors."""
         sim = Simulation(*size, noise=0.5, common=common)
@@ -324,7 +322,7 @@ class TestRandomSubset:
         )
         np.testing.assert_allclose(information.covariance_of_entries, expected, rtol=1e-9)
 
-    @pytest.mark.parametrize(("block", "common", "fraction"), [(1, 0.0, 0.3), (16, 0.0, 0.3), (16, 0.3, 0.4)])
+    @pytest.mark.parametrize(("block", "common", "fraction"), [(1, 0.0, 0.3), (16, 0.3, 0.4)])
     def test_matrix_and_covariance_are_unbiased_over_subsets_and_noise(self, block, common, fraction):
         """Sample variances of 250 runs have a relative error of 9 %; 21 of them stay within 4 errors."""
         sim = Simulation(32, 32, noise=0.8, common=common)

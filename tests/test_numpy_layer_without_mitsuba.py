@@ -1,0 +1,50 @@
+"""The NumPy half of the library imports and works where Mitsuba and Dr.Jit cannot be imported."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+BLOCKED = """
+import sys
+
+class Blocker:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("mitsuba", "drjit", "matplotlib", "OpenEXR", "typer", "rich"):
+            raise ImportError(f"{name} is blocked")
+
+sys.meta_path.insert(0, Blocker())
+"""
+
+BOUND = """
+import numpy as np
+import mitsuba_crb
+from mitsuba_crb import bound, errors, identifiability, information, noise, se3, symmetric, ustatistic
+
+J = np.random.default_rng(0).normal(size=(4, 64, 3, 6))
+J[:] = J[0]
+pixels = np.stack(np.divmod(np.arange(64), 8), axis=1)
+selection = information.PixelSelection("all", 64, 64, "all")
+jacobian = mitsuba_crb.ImageJacobian(
+    J, pixels, np.zeros((8, 8, 3)), "camera", np.eye(4), selection, 1.0, "camera"
+)
+fisher_information = mitsuba_crb.fisher_information(jacobian, mitsuba_crb.noise.Gaussian(0.1))
+result = mitsuba_crb.cramer_rao_bound(fisher_information)
+assert result.rank == 6, result
+assert not {"mitsuba", "drjit"} & {name.partition(".")[0] for name in sys.modules}
+"""
+
+
+def _run(code):
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+
+
+def test_a_bound_is_computed_without_mitsuba():
+    run = _run(BLOCKED + BOUND)
+    assert run.returncode == 0, run.stderr
+
+
+def test_the_block_blocks():
+    run = _run(BLOCKED + "import mitsuba")
+    assert "mitsuba is blocked" in run.stderr
+    assert run.returncode != 0
