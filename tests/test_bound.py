@@ -596,6 +596,17 @@ class TestPrior:
         assert np.isinf(_quietly(image, prior=blind).position_std[0])
         assert _quietly(image, prior=blind).rank == 5
 
+    def test_a_prior_beyond_float64_is_refused(self):
+        F, v = _random(21), np.ones(6) / np.sqrt(6)
+        C = np.linalg.inv(F)
+        for strength in (1e6, 1e12):
+            bound = cramer_rao_bound(_information(F), prior=strength * np.outer(v, v))
+            # Sherman–Morrison, which does not form the sum.
+            expected = C - np.outer(C @ v, C @ v) / (1.0 / strength + v @ C @ v)
+            np.testing.assert_allclose(bound.covariance, expected, atol=1e-6 * np.abs(expected).max())
+        with pytest.raises(OptionError, match="float64"):
+            cramer_rao_bound(_information(_random(21)), prior=1e20 * np.outer(v, v))
+
     def test_information_about_something_else_is_refused(self):
         for changes in ({"variable": "other"}, {"frame": "world"}, {"pose": np.eye(4)}):
             with pytest.raises(FrameError):

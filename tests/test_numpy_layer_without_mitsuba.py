@@ -19,7 +19,8 @@ sys.meta_path.insert(0, Blocker())
 BOUND = """
 import numpy as np
 import mitsuba_crb
-from mitsuba_crb import bound, errors, identifiability, information, noise, se3, symmetric, ustatistic
+from mitsuba_crb import bound, errors, identifiability, information, inverse
+from mitsuba_crb import noise, se3, symmetric, ustatistic
 
 J = np.random.default_rng(0).normal(size=(4, 64, 3, 6))
 J[:] = J[0]
