@@ -177,7 +177,7 @@ def bound(
     scene: Scene,
     sensor: Sensor = "0",
     pose: Pose = None,
-    method: Method = "finite_difference",
+    method: Method = "flow",
     spp: Spp = 64,
     seed: Seed = 0,
     batches: Batches = 4,
@@ -281,6 +281,10 @@ def check(
     scene: Scene,
     sensor: Sensor = "0",
     pose: Pose = None,
+    method: Annotated[
+        list[str] | None,
+        typer.Option(metavar="M", help="Method to check, repeatable; default: flow and forward."),
+    ] = None,
     spp: Spp = 256,
     seed: Seed = 0,
     batches: Batches = 8,
@@ -300,10 +304,11 @@ def check(
 
         from .report import print_check, progress
         from .scene import load_scene
-        from .validation import check_jacobian
+        from .validation import DEFAULT_METHODS, check_jacobian
 
         with _collected() as texts, progress():
-            result = check_jacobian(load_scene(scene, **defines), **options)
+            methods = tuple(method or DEFAULT_METHODS)
+            result = check_jacobian(load_scene(scene, **defines), methods=methods, **options)
         print_check(_console(), result, texts)
         return int(result.exit_code)
 

@@ -24,7 +24,7 @@ _GRID = 64
 _LIGHT_SAMPLES = 8
 
 
-def precision_findings(view: View, length_scale: float) -> list[str]:
+def precision_findings(view: View) -> list[str]:
     """Where float32 positions at the camera are too coarse for the derivative.
 
     Renders are float32: at a distance |c| from the origin, positions are multiples of their spacing there. A
@@ -32,7 +32,7 @@ def precision_findings(view: View, length_scale: float) -> list[str]:
     """
     distance = float(np.abs(view.pose[:3, 3]).max())
     spacing = float(np.spacing(np.float32(distance)))
-    step = float(finite_difference.steps(view, length_scale)[:3].min())
+    step = float(finite_difference.prepare(view).steps[:3].min())
     if spacing <= 0.01 * step:
         return []
     return [

@@ -29,9 +29,9 @@ from .jacobian.finite_difference import STEP_PIXELS
 from .noise import Gaussian, NoiseModel
 from .scene import View, open_view
 
-DEFAULT_METHOD = "finite_difference"
-METHODS = ("finite_difference", "forward")
-"""Each is a module of `jacobian` with one function `jacobian`."""
+DEFAULT_METHOD = "flow"
+METHODS = ("flow", "forward", "finite_difference")
+"""Each is a module of `jacobian` with the functions `prepare` and `jacobian`."""
 RELATIVE_SIGMA = 0.01
 """Standard deviation of the default noise, as a fraction of the image's white."""
 
@@ -227,18 +227,15 @@ class _Measurement:
     seed: int
     batches: int
     tile: int
-    step_pixels: float
+    prepared: Any
+    """What the method's `prepare` returned."""
     length_scale: float
     selection: PixelSelection
 
     @property
     def block(self) -> int:
         """Side of the film blocks whose errors are independent [pixel]."""
-        return int(self._method.BLOCK)
-
-    @property
-    def _method(self) -> ModuleType:
-        return importlib.import_module(f".jacobian.{self.method}", __package__)
+        return int(self.prepared.block)
 
     def provenance(self) -> dict[str, Any]:
         """How the numbers were made, JSON-able."""
@@ -295,13 +292,13 @@ class _Measurement:
 
     def warn_of_limits(self) -> None:
         """Warn of float32, and by name of what the method cannot see here."""
-        for text in lint.precision_findings(self.view, self.length_scale):
+        for text in lint.precision_findings(self.view):
             warnings.warn(text, PrecisionWarning, stacklevel=4)
         if self.method == "forward":
             for finding in lint.discontinuities(self.view):
                 warnings.warn(
                     f"method 'forward' cannot see {finding}: its information is too small and its bound no "
-                    "bound; use finite_difference",
+                    "bound; use flow",
                     BlindSpotWarning,
                     stacklevel=4,
                 )
@@ -310,17 +307,16 @@ class _Measurement:
         self, mask: NDArray[np.bool_], drop_invalid: bool, on_tile: Progress | None
     ) -> Iterator[TileJacobian]:
         """The Jacobian, one tile after the other."""
-        steps = {"step_pixels": self.step_pixels} if self.method == "finite_difference" else {}
+        jacobian = _module(self.method).jacobian
         done, total, invalid = 0, int(mask.sum()), 0
         for part in subset.tiles(mask, self.tile):
-            values, primal = self._method.jacobian(
+            values, primal = jacobian(
                 self.view,
                 part,
                 spp=self.spp,
                 seed=self.seed,
                 batches=self.batches,
-                length_scale=self.length_scale,
-                **steps,
+                prepared=self.prepared,
             )
             done += len(part)
             good = np.isfinite(values).all(axis=(0, 2, 3)) & np.isfinite(primal).all(axis=1)
@@ -357,6 +353,7 @@ def _measurement(
         from .jacobian.pixels import visible_depth
 
         visible = visible_depth(view)
+        options = {"step_pixels": step_pixels} if method == "finite_difference" else {}
         yield _Measurement(
             view=view,
             method=method,
@@ -364,10 +361,14 @@ def _measurement(
             seed=seed,
             batches=batches,
             tile=tile,
-            step_pixels=step_pixels,
+            prepared=_module(method).prepare(view, **options),
             length_scale=float(np.median(visible)) if visible.size else 1.0,
             selection=subset.everything(view.size),
         )
+
+
+def _module(method: str) -> ModuleType:
+    return importlib.import_module(f".jacobian.{method}", __package__)
 
 
 def _check_options(method: str, spp: int, seed: int, batches: int, tile: int) -> None:

@@ -27,6 +27,9 @@ from .noise import Gaussian
 AGREEMENT = 0.05
 """The smallest disagreement that a check must be able to see before it may say "agree"."""
 
+DEFAULT_METHODS = ("flow", "forward")
+"""What is checked unless the user names methods."""
+
 _SIGMAS = 3.0
 
 
@@ -85,7 +88,7 @@ class JacobianCheck:
 def check_jacobian(
     scene: Any,
     *,
-    methods: Sequence[str] = ("forward",),
+    methods: Sequence[str] = DEFAULT_METHODS,
     sensor: int | str = 0,
     pose: Any = None,
     spp: int = 256,

@@ -108,7 +108,7 @@ def test_finite_differences_halve_their_bias_fourfold() -> None:
         pixels = np.stack(np.meshgrid(np.arange(8, 24), np.arange(6, 18)), axis=-1).reshape(-1, 2)
         steps = [
             finite_difference.jacobian(
-                view, pixels, spp=256, seed=0, batches=4, length_scale=3.0, step_pixels=step
+                view, pixels, spp=256, seed=0, batches=4, prepared=finite_difference.prepare(view, step)
             )[0].mean(axis=0)
             for step in (0.1, 0.2, 0.4)
         ]
@@ -124,7 +124,7 @@ def test_camera_frame_information_moves_to_the_world_like_left_perturbations() -
     right = pose_jacobian(textured_wall(sensor=sensor), method="finite_difference", spp=64, seed=5)
     transported = fisher_information(right, SIGMA).to_frame("world").matrix
     with open_view(textured_wall(sensor=sensor)) as view:
-        steps = finite_difference.steps(view, right.length_scale)
+        steps = finite_difference.prepare(view).steps
         columns = []
         for axis, step in enumerate(steps):
             twist = np.zeros(6)

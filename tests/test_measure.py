@@ -136,7 +136,7 @@ def test_float32_is_named_where_it_is_too_coarse_for_the_derivative() -> None:
         for distance, found in ((100.0, 0), (10_000.0, 1)):
             pose = np.eye(4)
             pose[0, 3] = distance
-            findings = precision_findings(dataclasses.replace(view, pose=pose), 3.0)
+            findings = precision_findings(dataclasses.replace(view, pose=pose))
             assert len(findings) == found
             assert all("nearer to the origin" in text for text in findings)
 

@@ -11,6 +11,7 @@ Source: design section 4.3.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,27 +23,31 @@ from .pixels import render_pixels, visible_depth
 if TYPE_CHECKING:
     from ..scene import View
 
-BLOCK = 1
-"""Side of the film blocks whose errors are independent [pixel]: every pixel has its own samples."""
 STEP_PIXELS = 0.15
 """Image motion of one step [pixel]."""
 NEAR_PERCENTILE = 5.0
 """Percentile of the visible depth at which a translation step moves the image by that much."""
 
 
-def steps(view: View, length_scale: float, step_pixels: float = STEP_PIXELS) -> NDArray[np.float64]:
-    """Step h of each twist component, translation [scene unit] then rotation [rad].
+@dataclass(frozen=True)
+class Prepared:
+    """What all tiles of one view share."""
 
-    Args:
-        length_scale: median visible depth; caps the translation steps [scene unit].
-    """
+    steps: NDArray[np.float64]
+    """(6,) step of each twist component, translation [scene unit] then rotation [rad]."""
+    block: int = 1
+    """Side of the film blocks whose errors are independent [pixel]: every pixel has its own samples."""
+
+
+def prepare(view: View, step_pixels: float = STEP_PIXELS) -> Prepared:
+    """The steps that move the image by `step_pixels`."""
     focal = view.focal_pixels
     radius = float(np.hypot(*view.size)) / np.sqrt(12.0)
     angle = step_pixels / np.array([focal, focal, max(radius, 1.0)])
-    depth = visible_depth(view, most=32)
-    near = float(np.percentile(depth, NEAR_PERCENTILE)) if depth.size else length_scale
-    shift = np.minimum(angle * near, 0.05 * length_scale)
-    return np.concatenate([shift, angle])
+    depth = visible_depth(view)
+    near, median = np.percentile(depth, [NEAR_PERCENTILE, 50.0]) if depth.size else (1.0, 1.0)
+    shift = np.minimum(angle * near, 0.05 * median)
+    return Prepared(np.concatenate([shift, angle]))
 
 
 def jacobian(
@@ -52,20 +57,20 @@ def jacobian(
     spp: int,
     seed: int,
     batches: int,
-    length_scale: float,
-    step_pixels: float = STEP_PIXELS,
+    prepared: Prepared | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """dI/dξ in the camera frame by twelve renders.
 
     Args:
         pixels: (n, 2) columns and rows.
         spp: paths per pixel over all batches, of each of the twelve renders.
+        prepared: what `prepare` returned for this view, so that many tiles prepare once.
 
     Returns:
         (batches, n, 3, 6) Jacobians [radiance / scene unit, radiance / rad], and the image (n, 3), the mean
         of the twelve renders.
     """
-    per_axis = steps(view, length_scale, step_pixels)
+    per_axis = (prepared or prepare(view)).steps
     values = np.empty((batches, len(pixels), 3, 6))
     image = np.zeros((len(pixels), 3))
     for axis, step in enumerate(per_axis):

@@ -27,6 +27,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from ..information import BLOCK
 from .contours import Contours, find_contours, parallax_term
 from .pairs import GOLDEN, BoxPairs, PairSample, SmoothPairs, filter_pairs
 from .paths import IntegratorTracer, PathTracer, tracer
@@ -64,6 +65,11 @@ class Prepared:
     focal: mi.Vector2f
     """d(film point)/d(q_x/q_z, q_y/q_z), the focal lengths with their signs [pixel]."""
 
+    @property
+    def block(self) -> int:
+        """Side of the film blocks whose errors are independent [pixel]: one's, where no contour is shared."""
+        return BLOCK if len(self.contours.piece) else 1
+
 
 def prepare(view: View) -> Prepared:
     """Tables of the filter, materials that need a view term, and contours.
@@ -99,7 +105,6 @@ def jacobian(
     spp: int,
     seed: int,
     batches: int,
-    length_scale: float,
     prepared: Prepared | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """dI/dξ in the camera frame.
@@ -108,7 +113,6 @@ def jacobian(
         pixels: (n, 2) columns and rows; those of one film block must come in one call.
         spp: paths per pixel over all batches. Paths come in pairs, alternately along x and y, so a multiple
             of 4 per batch is best; an odd last path of a batch is not traced, a batch of one path traces two.
-        length_scale: unused; one interface for all methods.
         prepared: what `prepare` returned for this view, so that many tiles prepare once.
 
     Returns:

@@ -10,6 +10,7 @@ Source: Muthukkumar 2025, Algorithm 1; design section 4.2.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -25,25 +26,33 @@ if TYPE_CHECKING:
     from ..scene import View
 
 
-BLOCK = 1
-"""Side of the film blocks whose errors are independent [pixel]: every pixel has its own samples."""
 MAX_LANES = 1 << 18
 """Paths per kernel launch; bounds the memory."""
 
 
-def refuse_detached(integrator: mi.SamplingIntegrator) -> None:
-    """Raise for integrators that detach camera rays, whose derivative would be a silent zero.
+@dataclass(frozen=True)
+class Prepared:
+    """What all tiles of one view share."""
+
+    pixel_filter: PixelFilter
+    block: int = 1
+    """Side of the film blocks whose errors are independent [pixel]: every pixel has its own samples."""
+
+
+def prepare(view: View) -> Prepared:
+    """The filter, unless the integrator detaches camera rays, whose derivative would be a silent zero.
 
     Raises:
         IntegratorError: names the integrator.
     """
     from mitsuba.python.ad.integrators.common import ADIntegrator
 
-    if isinstance(integrator, ADIntegrator):
+    if isinstance(view.integrator, ADIntegrator):
         raise IntegratorError(
-            f"integrator {type(integrator).__name__} detaches camera rays, so method 'forward' would see "
-            "nothing: use path, direct or volpath, or another method"
+            f"integrator {type(view.integrator).__name__} detaches camera rays, so method 'forward' would "
+            "see nothing: use path, direct or volpath, or another method"
         )
+    return Prepared(PixelFilter.of(view))
 
 
 def jacobian(
@@ -53,14 +62,14 @@ def jacobian(
     spp: int,
     seed: int,
     batches: int,
-    length_scale: float,
+    prepared: Prepared | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """dI/dξ in the camera frame by six forward passes.
 
     Args:
         pixels: (n, 2) columns and rows.
         spp: paths per pixel over all batches.
-        length_scale: unused; one interface for all methods.
+        prepared: what `prepare` returned for this view, so that many tiles prepare once.
 
     Returns:
         (batches, n, 3, 6) Jacobians [radiance / scene unit, radiance / rad], and the image (n, 3).
@@ -68,14 +77,14 @@ def jacobian(
     Raises:
         IntegratorError: the integrator detaches camera rays.
     """
-    refuse_detached(view.integrator)
+    prepared = prepared or prepare(view)
     values = np.empty((batches, len(pixels), 3, 6))
     image = np.empty((len(pixels), 3))
     count = max(1, MAX_LANES // spp)
     for start in range(0, len(pixels), count):
         part = slice(start, start + count)
         for axis in range(6):
-            column, primal = _column(view, pixels[part], spp, seed, axis)
+            column, primal = _column(view, prepared.pixel_filter, pixels[part], spp, seed, axis)
             values[:, part, :, axis] = (
                 column.reshape(-1, batches, spp // batches, 3).mean(axis=2).swapaxes(0, 1)
             )
@@ -84,7 +93,7 @@ def jacobian(
 
 
 def _column(
-    view: View, pixels: NDArray[np.int64], spp: int, seed: int, axis: int
+    view: View, pixel_filter: PixelFilter, pixels: NDArray[np.int64], spp: int, seed: int, axis: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """One derivative and the radiance, per pixel and path: (n, spp, 3) each.
 
@@ -94,7 +103,7 @@ def _column(
 
     pixel, sample, centre = lanes(view, pixels, spp)
     sampler = lane_sampler(pixel, sample, seed)
-    offset, weight = PixelFilter.of(view).sample(sampler.next_2d())
+    offset, weight = pixel_filter.sample(sampler.next_2d())
     ray, importance = camera_ray(view, centre + mi.Vector2f(offset), sampler.next_2d())
     twist = [mi.Float(0.0) for _ in range(6)]
     dr.enable_grad(twist[axis])
