@@ -333,9 +333,10 @@ def test_jacobian_of_silhouettes_agrees_with_finite_differences() -> None:
     pixels = all_pixels()
     with open_view(scene(**objects)) as view:
         prepared = flow.prepare(view)
-        options = {"seed": 1, "batches": BATCHES, "length_scale": 4.0}
+        options = {"seed": 1, "batches": BATCHES}
+        steps = finite_difference.prepare(view, 0.1)
         ours, _ = flow.jacobian(view, pixels, spp=512, prepared=prepared, **options)
-        theirs, _ = finite_difference.jacobian(view, pixels, spp=2048, step_pixels=0.1, **options)
+        theirs, _ = finite_difference.jacobian(view, pixels, spp=2048, prepared=steps, **options)
         image = render_pixels(view, pixels, spp=16, seed=2)[0]
         without, _ = flow.filter_and_view_terms(
             view, prepared, pixels, image, spp=512, seed=1, batches=BATCHES
