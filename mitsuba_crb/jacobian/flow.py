@@ -35,11 +35,13 @@ from .pixels import (
     PILOT,
     PixelFilter,
     camera_ray,
+    download,
     lane_sampler,
     lanes,
     move_ray,
     opaque_transform,
     render_pixels,
+    upload,
 )
 from .view_term import ViewTerm
 
@@ -158,15 +160,15 @@ def filter_and_view_terms(
         prepared,
         lane_sampler(pixel, batch, seed),
         centre,
-        mi.Color3f(np.repeat(baseline, batches, axis=0).T.astype(np.float32)),
+        mi.Color3f(*(upload(mi.Float, np.repeat(channel, batches)) for channel in baseline.T)),
         counts,
         dr.opaque(mi.UInt32, number),
         dr.opaque(mi.UInt32, pairs.kinds if few else 1),
     )
     dr.eval(columns, image)
-    values = np.stack([np.array(column) for column in columns])  # (6, 3, lanes)
-    values = values.reshape(6, 3, len(pixels), batches).transpose(3, 2, 1, 0).astype(np.float64)
-    means = np.array(image).reshape(3, len(pixels), batches).mean(axis=2, dtype=np.float64).T
+    values = np.stack([download(column) for column in columns])  # (6, 3, lanes)
+    values = values.reshape(6, 3, len(pixels), batches).transpose(3, 2, 1, 0)
+    means = download(image).reshape(3, len(pixels), batches).mean(axis=2).T
     return values, means
 
 

@@ -20,7 +20,7 @@ import drjit as dr
 import numpy as np
 
 from ..errors import FilmError
-from .pixels import PixelFilter
+from .pixels import PixelFilter, upload
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -71,7 +71,7 @@ class SmoothPairs:
 
         radius = pixel_filter.radius
         grid = np.linspace(0.0, radius, 1 << 15)
-        h = np.array(pixel_filter.eval(mi.Float(grid.astype(np.float32))), dtype=np.float64)
+        h = np.array(pixel_filter.eval(upload(mi.Float, grid)), dtype=np.float64)
         if abs(h[-2]) > 1e-3 * h[0]:
             raise FilmError(
                 f"reconstruction filter {pixel_filter.rfilter.class_name()} jumps at its border; "
@@ -89,9 +89,9 @@ class SmoothPairs:
         ratio = (slope + 1e-3 * slope.max()) / (size + 1e-3 * size.max())
         return SmoothPairs(
             pixel_filter,
-            mi.Float(nodes.astype(np.float32)),
-            mi.Float(values.astype(np.float32)),
-            mi.Float(ratio.astype(np.float32)),
+            upload(mi.Float, nodes),
+            upload(mi.Float, values),
+            upload(mi.Float, ratio),
         )
 
     def draw(

@@ -23,6 +23,7 @@ import drjit as dr
 import numpy as np
 
 from .paths import IntegratorTracer, PathTracer, Seen
+from .pixels import upload
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -75,7 +76,7 @@ class ViewTerm:
         needs[index] = found
         pixel = 1.0 / view.focal_pixels
         return ViewTerm(
-            mi.UInt32(needs),
+            upload(mi.UInt32, needs),
             lobes,
             jumps,
             dr.opaque(mi.Float, STEP_PIXELS * pixel),
