@@ -8,6 +8,7 @@ columns.png: the six columns of the Jacobian on a checkerboard, by `forward` and
 
 from __future__ import annotations
 
+import dataclasses
 import warnings
 from pathlib import Path
 
@@ -39,7 +40,8 @@ def bound_page() -> None:
     jacobian = pose_jacobian(scene("textured_room"), size=(384, 288), spp=64)
     noise = Gaussian(0.01 * float(np.percentile(jacobian.image, 99)))
     information = fisher_information(jacobian, noise)
-    bound = cramer_rao_bound(information)
+    provenance = {**jacobian.provenance, "noise": noise.to_dict()}
+    bound = dataclasses.replace(cramer_rao_bound(information), provenance=provenance)
     figure = bound_figure(bound, pictures_of(jacobian, information, noise))
     figure.savefig(FOLDER / "bound.png", dpi=80)
 

@@ -1,0 +1,105 @@
+"""Flow against finite differences on the shipped scenes: F's diagonal, off-diagonals, and a negative control.
+
+A table of scene x relative tolerance. Both sides have independent random numbers; the tolerance covers the
+reference's own step bias, and 4 combined standard errors its noise and flow's.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_scenes import T, scene, texture, textured_wall, wall
+
+from mitsuba_crb import fisher_information, pose_jacobian
+from mitsuba_crb.information import FisherInformation
+from mitsuba_crb.noise import Gaussian
+
+SIGMA = Gaussian(0.01)
+
+
+def _informations(which: Any, spp: tuple[int, int], **options: Any) -> tuple[FisherInformation, ...]:
+    return tuple(
+        fisher_information(pose_jacobian(which, method=method, spp=n, seed=seed, **options), SIGMA)
+        for method, n, seed in (("flow", spp[0], 1), ("finite_difference", spp[1], 2))
+    )
+
+
+def _assert_agree(flow: FisherInformation, fd: FisherInformation, tolerance: float) -> None:
+    root = np.sqrt(np.maximum(np.diag(fd.matrix), 0.0))  # an unseen direction's estimate may be negative
+    allowed = tolerance * np.outer(root, root) + 4 * np.hypot(flow.standard_error, fd.standard_error)
+    assert np.all(np.abs(flow.matrix - fd.matrix) <= allowed)
+
+
+BOX = {
+    "type": "cube",
+    "to_world": T().translate([0.1, 0.2, 2.0]).rotate([1, 1, 0], 35).scale(0.25),
+    "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.9}},
+}
+SPHERE = {"type": "sphere", "center": [-0.2, 0.1, 2.0], "radius": 0.35, "bsdf": BOX["bsdf"]}
+CYLINDER = {
+    "type": "cylinder",
+    "p0": [-0.3, -0.3, 2],
+    "p1": [0.4, 0.5, 2],
+    "radius": 0.2,
+    "bsdf": BOX["bsdf"],
+}
+DISK = {
+    "type": "disk",
+    "to_world": T().translate([0.1, 0.1, 2.0]).rotate([1, 0, 0], 150).scale(0.4),
+    "bsdf": BOX["bsdf"],
+}
+CONDUCTOR = wall() | {"bsdf": {"type": "roughconductor", "alpha": 0.15}}
+LAMP = {
+    "type": "rectangle",
+    "to_world": T().translate([0, 1.5, -0.5]).scale([0.5, 0.3, 1]),
+    "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 8.0}},
+}
+
+
+@pytest.mark.parametrize(
+    ("which", "tolerance"),
+    [
+        (textured_wall(), 0.03),
+        (scene(wall=wall({"type": "checkerboard", "to_uv": T().scale(8)})), 0.05),
+        (scene(wall=wall(texture(filter_type="nearest"))), 0.05),
+        (scene(wall=wall(), box=BOX), 0.05),
+        (scene(wall=wall(), sphere=SPHERE), 0.05),
+        (scene(wall=wall(), cylinder=CYLINDER), 0.05),
+        (scene(wall=wall(), disk=DISK), 0.05),
+        (scene(wall=CONDUCTOR, lamp=LAMP), 0.05),
+    ],
+    ids=["bilinear", "checkerboard", "nearest", "box", "sphere", "cylinder", "disk", "rough conductor"],
+)
+def test_flow_agrees_with_finite_differences(which: Any, tolerance: float) -> None:
+    _assert_agree(*_informations(which, (256, 256)), tolerance)
+
+
+@pytest.mark.parametrize("name", ["textured_wall", "checkerboard_wall", "sky", "striped_wall", "radial_wall"])
+def test_flow_agrees_on_shipped_walls(name: str, scenes: Path) -> None:
+    flow, fd = _informations(scenes / name / f"{name}.xml", (64, 64), size=(64, 48))
+    _assert_agree(flow, fd, 0.04)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "tolerance"), [("boxes", 0.04), ("shadows", 0.05), ("plain_room", 0.05), ("textured_room", 0.06)]
+)
+def test_flow_agrees_on_shipped_rooms(name: str, tolerance: float, scenes: Path) -> None:
+    flow, fd = _informations(scenes / name / f"{name}.xml", (512, 512), size=(64, 48))
+    _assert_agree(flow, fd, tolerance)
+
+
+def test_without_the_parallax_term_a_box_loses_its_translation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Negative control: the comparison above sees a missing term."""
+    from mitsuba_crb.jacobian import flow as module
+
+    monkeypatch.setattr(
+        module, "parallax_term", lambda *args, batches, **options: np.zeros((batches, len(args[2]), 3, 6))
+    )
+    flow, fd = _informations(scene(wall=wall(), box=BOX), (256, 256))
+    ratio = np.diag(flow.matrix) / np.diag(fd.matrix)
+    assert np.all(np.abs(ratio[3:] - 1.0) < 0.15)
+    assert np.all(np.abs(ratio[:3] - 1.0) > 0.2)
