@@ -63,6 +63,18 @@ class OutputError(MitsubaCRBError):
     """An output file cannot be written; checked before anything is rendered."""
 
 
+class SelectionError(MitsubaCRBError):
+    """Tiles cannot be chosen: a budget, a tile, an agent or the starting information is at fault."""
+
+
+class FusionError(MitsubaCRBError):
+    """Agents, relative poses or shared nuisances cannot be combined: a name, a matrix or a link is at fault."""
+
+
+class MessageError(MitsubaCRBError):
+    """A message is corrupt, does not fit its layout, or refers to another base."""
+
+
 class BlindSpotWarning(UserWarning):
     """A method cannot see some of the scene's image changes; the information is too small."""
 
