@@ -3,8 +3,9 @@
     python benchmarks/main_job.py            # both tables; about 10 minutes on 2 cores
     python benchmarks/main_job.py --quick    # smaller images
 
-First table: warm `pose_bound` (finite differences) of textured_room at 256x256 beside twelve `mi.render`
-calls with the same paths per pixel, in turns, as a ratio. Second table: peak memory of one process each.
+First table: warm `pose_bound` of textured_room at 256x256, by flow and by finite differences, beside twelve
+`mi.render` calls with the same paths per pixel, in turns, as ratios. Second table: peak memory of one process
+each, by flow.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ PROBE = """
 import resource, sys
 from mitsuba_crb import pose_bound
 size = int(sys.argv[2])
-pose_bound(sys.argv[1], size=(size, size), spp=4, method="finite_difference")
+pose_bound(sys.argv[1], size=(size, size), spp=8)
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """
 
@@ -38,7 +39,7 @@ def timed(function: Callable[[], object]) -> float:
 
 
 def bound_beside_renders(size: int, spp: int, rounds: int) -> None:
-    """Alternate pose_bound and twelve renders; print medians and the ratio of medians."""
+    """Alternate pose_bound and twelve renders; print medians and ratios."""
     from mitsuba_crb import load_scene, pose_bound
 
     scene = load_scene(SCENE, width=str(size), height=str(size), spp=str(spp))
@@ -50,18 +51,23 @@ def bound_beside_renders(size: int, spp: int, rounds: int) -> None:
             dr.eval(mi.render(scene, spp=spp, seed=seed))
         dr.sync_thread()
 
-    def bound() -> None:
-        pose_bound(scene, spp=spp, method="finite_difference")
-
-    bound(), renders()
-    pairs = [(timed(bound), timed(renders)) for _ in range(rounds)]
-    ours, theirs = (statistics.median(column) for column in zip(*pairs, strict=True))
-    print(f"textured_room {size}x{size}, {spp} paths per pixel, median of {rounds} alternating rounds")
-    print(f"  pose_bound, finite_difference   {ours:7.2f} s")
-    print(f"  12 x mi.render                  {theirs:7.2f} s")
-    print(f"  ratio                           {ours / theirs:7.2f}   (range ", end="")
-    ratios = sorted(a / b for a, b in pairs)
-    print(f"{ratios[0]:.2f} to {ratios[-1]:.2f})")
+    sides: dict[str, Callable[[], object]] = {
+        "12 x mi.render": renders,
+        "pose_bound, flow": lambda: pose_bound(scene, spp=spp, method="flow"),
+        "pose_bound, finite_difference": lambda: pose_bound(scene, spp=spp, method="finite_difference"),
+    }
+    for side in sides.values():
+        side()
+    times = [{name: timed(side) for name, side in sides.items()} for _ in range(rounds)]
+    print(f"textured_room {size}x{size}, {spp} paths per pixel, medians of {rounds} alternating rounds")
+    for name in sides:
+        seconds = statistics.median(row[name] for row in times)
+        ratios = sorted(row[name] / row["12 x mi.render"] for row in times)
+        print(
+            f"  {name:32s} {seconds:7.2f} s   {statistics.median(ratios):6.3f} x twelve renders "
+            f"({ratios[0]:.3f} to {ratios[-1]:.3f})",
+            flush=True,
+        )
 
 
 def memory(sizes: tuple[int, ...]) -> None:
@@ -85,7 +91,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="64x64 pixels and sizes up to 512")
     quick = parser.parse_args().quick
-    bound_beside_renders(64 if quick else 256, 64, 3 if quick else 5)
+    bound_beside_renders(64 if quick else 256, 64, 3)
     memory((128, 512) if quick else (512, 2048))
 
 
