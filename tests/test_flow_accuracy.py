@@ -13,9 +13,12 @@ import numpy as np
 import pytest
 from small_scenes import T, scene, texture, textured_wall, wall
 
-from mitsuba_crb import fisher_information, pose_jacobian
+from mitsuba_crb import fisher_information, pose_bound, pose_jacobian
 from mitsuba_crb.information import FisherInformation
 from mitsuba_crb.noise import Gaussian
+
+# Few samples on small images: that standard errors exceed 10 % is expected.
+pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")
 
 SIGMA = Gaussian(0.01)
 
@@ -81,6 +84,15 @@ def test_flow_agrees_with_finite_differences(which: Any, tolerance: float) -> No
 def test_flow_agrees_on_shipped_walls(name: str, scenes: Path) -> None:
     flow, fd = _informations(scenes / name / f"{name}.xml", (64, 64), size=(64, 48))
     _assert_agree(flow, fd, 0.04)
+
+
+def test_tiles_change_nothing_and_calls_repeat_bit_for_bit_with_contours(scenes: Path) -> None:
+    options: dict[str, Any] = {"spp": 16, "size": (48, 40)}
+    boxes = scenes / "boxes" / "boxes.xml"
+    whole, again, tiled = (pose_bound(boxes, SIGMA, tile=t, **options).information for t in (128, 128, 16))
+    scale = np.sqrt(np.diag(whole.matrix))
+    assert np.array_equal(whole.matrix, again.matrix)
+    assert np.abs((whole.matrix - tiled.matrix) / np.outer(scale, scale)).max() < 1e-12
 
 
 @pytest.mark.slow
