@@ -68,7 +68,7 @@ class SelectionError(MitsubaCRBError):
 
 
 class FusionError(MitsubaCRBError):
-    """Agents, relative poses or shared nuisances cannot be combined: a name, a matrix or a link is at fault."""
+    """Agents, relative poses or shared nuisances cannot be combined: a name or a matrix is at fault."""
 
 
 class MessageError(MitsubaCRBError):
