@@ -160,6 +160,9 @@ class White(mi.SamplingIntegrator):
         del scene, sampler, medium, active
         return mi.Color3f(1.0) + 0.0 * ray.d.x, mi.Bool(True), []
 
+    def to_string(self) -> str:
+        return "White"
+
 
 def glow(*color: float) -> dict[str, Any]:
     """An emission of equal radiance in all directions."""
@@ -396,7 +399,8 @@ def test_another_view_runs_the_same_kernels() -> None:
 
 def test_shapes_without_contours_are_named() -> None:
     description = scene(
-        group={"type": "shapegroup", "ball": {"type": "sphere"}},
+        box=box(),  # whose contours are looked for among the instances
+        group={"type": "shapegroup", "ball": {"type": "sphere"}, "block": {"type": "cube"}},
         first={"type": "instance", "group": {"type": "ref", "id": "group"}},
         second={"type": "instance", "group": {"type": "ref", "id": "group"}},
     )

@@ -126,7 +126,11 @@ class Contours:
         inverse_depth = dr.select(hit.is_valid(), dr.rcp(depth), 0.0)
         shape = dr.select(hit.is_valid(), dr.reinterpret_array(mi.UInt32, hit.shape), 0)
         dr.eval(inverse_depth, shape, hit.prim_index)
-        start = self.first_face[np.array(shape, dtype=np.int64)]
+        number = np.array(
+            shape, dtype=np.int64
+        )  # of shapes inside instances, too, which the table does not know
+        known = number < len(self.first_face)
+        start = np.where(known, self.first_face[np.where(known, number, 0)], -1)
         face = np.where(start < 0, -1, start + np.array(hit.prim_index, dtype=np.int64))
         return np.array(inverse_depth, dtype=np.float64), face
 
