@@ -27,6 +27,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import IntegratorError
 from ..information import BLOCK
 from .contours import Contours, find_contours, parallax_term
 from .pairs import GOLDEN, BoxPairs, PairSample, SmoothPairs, filter_pairs
@@ -78,12 +79,18 @@ def prepare(view: View) -> Prepared:
 
     Raises:
         FilmError: the reconstruction filter is not known.
+        IntegratorError: the scene holds a participating medium, in which no material point can be followed.
 
     Warns:
         BlindSpotWarning: by name, of shapes whose contours are not known.
     """
     import mitsuba as mi
 
+    if view.sensor.get_medium() is not None or any(s.is_medium_transition() for s in view.scene.shapes()):
+        raise IntegratorError(
+            "method 'flow' follows surface points and cannot follow a participating medium: use method "
+            "finite_difference"
+        )
     camera_paths = tracer(view)
     width, height = view.size
     film = mi.Point2f([0.0, width], [0.0, height])
