@@ -1,11 +1,11 @@
 """The main job beside the renders that it is made of, and its memory against the image's size.
 
-    python benchmarks/main_job.py            # both tables; about 10 minutes on 2 cores
+    python benchmarks/main_job.py            # both tables; about 6 minutes on 2 cores
     python benchmarks/main_job.py --quick    # smaller images
 
 First table: warm `pose_bound` of textured_room at 256x256, by flow and by finite differences, beside twelve
 `mi.render` calls with the same paths per pixel, in turns, as ratios. Second table: peak memory of one process
-each, by flow.
+each, textured_wall by flow.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 SCENE = ROOT / "scenes" / "textured_room" / "textured_room.xml"
+WALL = ROOT / "scenes" / "textured_wall" / "textured_wall.xml"
 
 PROBE = """
 import resource, sys
@@ -75,7 +76,7 @@ def memory(sizes: tuple[int, ...]) -> None:
     peaks = []
     for size in sizes:
         output = subprocess.run(
-            [sys.executable, "-c", PROBE, str(SCENE), str(size)],
+            [sys.executable, "-c", PROBE, str(WALL), str(size)],
             check=True,
             capture_output=True,
             text=True,
@@ -91,7 +92,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="64x64 pixels and sizes up to 512")
     quick = parser.parse_args().quick
-    bound_beside_renders(64 if quick else 256, 64, 3)
+    bound_beside_renders(64 if quick else 256, 64 if quick else 16, 3)
     memory((128, 512) if quick else (512, 2048))
 
 
