@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -380,21 +379,6 @@ def test_edge_table_follows_the_geometry_not_the_scene_object() -> None:
     table = edge_table(loaded)
     assert edge_table(mi.load_dict(scene(box=box()))) is table
     assert edge_table(mi.load_dict(scene(box=box(T())))) is not table
-
-
-def test_another_view_runs_the_same_kernels() -> None:
-    loaded = mi.load_dict(scene(box=box(), sphere=sphere()))
-    used = []
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        for x, count in ((0.3, 1120), (0.32, 777), (0.4, 50)):
-            dr.kernel_history_clear()
-            pose = np.eye(4)
-            pose[:3, 3] = [x, 0.0, -3.5]
-            with open_view(loaded, pose=pose) as view:
-                term(view, find_contours(view), all_pixels()[-count:], np.zeros((count, 3)))
-            used.append({k["hash"] for k in dr.kernel_history([dr.KernelType.JIT])})
-    assert used[1] <= used[0]
-    assert used[2] <= used[0]
 
 
 def test_shapes_without_contours_are_named() -> None:
