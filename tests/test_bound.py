@@ -179,6 +179,7 @@ class TestFrames:
 class TestRank:
     """Pure noise must pass for information in at most 1 % of cases, whatever else is seen."""
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(("rank", "noise"), [(0, 1.0), (3, 0.3), (3, 2.0), (5, 0.3), (5, 2.0)])
     def test_noise_is_not_taken_for_information(self, rank, noise):
         rng = np.random.default_rng(8)
