@@ -4,8 +4,6 @@
 
 f includes the cosine, E_i is radiance times multiple importance weight over density. With L in this form the
 view term differentiates f alone, and the filter term needs no second intersection for depth and normal.
-`PathTracer` is Mitsuba's `path` (the same estimator from the same random numbers, tested to rounding) with
-its first vertex laid open; other integrators are called through `IntegratorTracer`.
 
 Source: Mitsuba 3.9, integrators `path` and `prb`.
 """
@@ -39,12 +37,12 @@ class Seen:
 
 def tracer(view: View) -> PathTracer | IntegratorTracer:
     """What traces the view's camera paths."""
-    integrator = view.integrator
-    if integrator.class_name() == "PathIntegrator" and not integrator.hide_emitters:
-        depth, roulette = (
-            int(re.findall(rf"{name} = (\d+)", str(integrator))[0]) for name in ("max_depth", "rr_depth")
-        )
-        return PathTracer(depth, roulette)
+    text = str(view.integrator)
+    if not view.integrator.hide_emitters:
+        if text.startswith(("PathIntegrator[", "PRBIntegrator[")):
+            return PathTracer(*(int(number) for number in re.findall(r"_depth = (\d+)", text)))
+        if text.startswith("DirectIntegrator[") and re.findall(r"_samples = (\d+)", text) == ["1", "1"]:
+            return PathTracer(2, 2)
     return IntegratorTracer()
 
 

@@ -52,6 +52,8 @@ class ViewTerm:
     """Whether any material needs the derivative of its lobes."""
     jumps: bool
     """Whether any surface needs differences."""
+    frames: bool
+    """Whether any diffuse material has a shading normal of its own."""
     step: mi.Float
     """δ over the distance of p, where radiance varies with direction [rad]."""
     horizon_step: mi.Float
@@ -79,6 +81,7 @@ class ViewTerm:
             upload(mi.UInt32, needs),
             lobes,
             jumps,
+            HORIZON in found,
             dr.opaque(mi.Float, STEP_PIXELS * pixel),
             dr.opaque(mi.Float, HORIZON_STEP_PIXELS * pixel),
         )
@@ -116,12 +119,26 @@ class ViewTerm:
             step = dr.select(everywhere, self.step, self.horizon_step)
             direction = dr.normalize(ray.d - step * tangent)
             crosses = dr.dot(hit.sh_frame.n, ray.d) * dr.dot(hit.sh_frame.n, direction) <= 0.0
-            needed = everywhere | crosses | ((need == HORIZON) & _frame_flips(hit, direction))
-            needed &= hit.is_valid()
+            needed = hit.is_valid() & (everywhere | crosses)
+            if self.frames:
+                needed |= _frame_flips(hit, direction, hit.is_valid() & (need == HORIZON))
             start = mi.Point3f(hit.p - direction * (BEFORE * distance))
-            shifted = tracer.radiance(view, sampler, mi.Ray3f(start, direction), needed)
+            shifted = _radiance_where(needed, view, tracer, sampler, mi.Ray3f(start, direction))
             change[needed] = (shifted - seen.light) * (2.0 * dr.rcp(step * distance))
         return dr.select(hit.is_valid(), change, 0.0)
+
+
+@dr.syntax  # type: ignore[untyped-decorator]  # Dr.Jit is untyped here
+def _radiance_where(
+    needed: mi.Bool, view: View, tracer: PathTracer | IntegratorTracer, sampler: mi.Sampler, ray: mi.Ray3f
+) -> mi.Color3f:
+    """Radiance where needed; a branch, because most scenes need it nearly nowhere."""
+    import mitsuba as mi
+
+    light = mi.Color3f(0.0)
+    if dr.hint(needed, exclude=[view, tracer, sampler]):
+        light = tracer.radiance(view, sampler, ray, mi.Bool(True))
+    return light
 
 
 def _turn_of_lobes(seen: Seen, tangent: mi.Vector3f, active: mi.Bool) -> mi.Color3f:
@@ -142,7 +159,7 @@ def _turn_of_lobes(seen: Seen, tangent: mi.Vector3f, active: mi.Bool) -> mi.Colo
         return mi.Color3f(dr.grad(total))
 
 
-def _frame_flips(hit: mi.SurfaceInteraction3f, direction: mi.Vector3f) -> mi.Bool:
+def _frame_flips(hit: mi.SurfaceInteraction3f, direction: mi.Vector3f, active: mi.Bool) -> mi.Bool:
     """Whether a diffuse material's own shading normal (normal, bump map) sees the camera from another side.
 
     The normal is the material's secret, but f towards fixed directions is constant until the view crosses it.
@@ -155,9 +172,9 @@ def _frame_flips(hit: mi.SurfaceInteraction3f, direction: mi.Vector3f) -> mi.Boo
     flips = mi.Bool(False)
     for side in (1.0, -1.0):
         probe = dr.normalize(mi.Vector3f(0.5 * side, 0.3 * side, dr.sign(hit.wi.z)))
-        before = bsdf.eval(mi.BSDFContext(), hit, probe)
-        flips |= dr.any(before != bsdf.eval(mi.BSDFContext(), turned, probe))
-    return flips
+        before = bsdf.eval(mi.BSDFContext(), hit, probe, active)
+        flips |= dr.any(before != bsdf.eval(mi.BSDFContext(), turned, probe, active))
+    return active & flips
 
 
 def _need(bsdf: mi.BSDF, glossy: int) -> int:
@@ -193,4 +210,14 @@ def _contents(root: mi.Object) -> list[mi.Object]:
 
 
 def _interpolates_normals(shape: mi.Shape) -> bool:
-    return bool(shape.is_mesh() and shape.has_vertex_normals() and not shape.has_face_normals())
+    """Whether a mesh's shading normals differ from its faces' (flat shapes carry vertex normals, too)."""
+    import mitsuba as mi
+
+    if not shape.is_mesh() or not shape.has_vertex_normals() or shape.has_face_normals():
+        return False
+    face = dr.arange(mi.UInt32, shape.face_count())
+    corners = shape.face_indices(face)
+    a, b, c = (shape.vertex_position(corner) for corner in corners)
+    normal = dr.normalize(dr.cross(b - a, c - a))
+    turned = [dr.abs(dr.dot(shape.vertex_normal(corner), normal)) < 1.0 - 1e-6 for corner in corners]
+    return bool(dr.any(turned[0] | turned[1] | turned[2]))

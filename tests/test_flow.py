@@ -1,0 +1,368 @@
+"""Flow's parts against oracles of their own: the sensor model, the integrator, the BSDFs, the filters.
+
+Whole Jacobians are compared in test_flow_accuracy.py; here are the scenes that need the view term.
+"""
+
+from __future__ import annotations
+
+import gc
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from small_scenes import T, camera, scene, texture, textured_wall, wall
+
+from mitsuba_crb import se3
+from mitsuba_crb.jacobian import finite_difference, flow, paths
+from mitsuba_crb.jacobian.pairs import PairSample, filter_pairs
+from mitsuba_crb.jacobian.pixels import (
+    PixelFilter,
+    camera_ray,
+    lane_sampler,
+    lanes,
+    move_ray,
+    opaque_transform,
+)
+from mitsuba_crb.jacobian.view_term import ViewTerm, _turn_of_lobes
+from mitsuba_crb.scene import View, open_view
+
+THIN = {"type": "thinlens", "aperture_radius": 0.2, "focus_distance": 2.5}
+
+
+def all_pixels(view: View) -> np.ndarray:
+    return np.stack(np.meshgrid(*(np.arange(n) for n in view.size)), axis=-1).reshape(-1, 2)
+
+
+def with_filter(name: str) -> dict[str, Any]:
+    sensor = camera()
+    sensor["film"]["rfilter"] = {"type": name}
+    return sensor
+
+
+def information(values: np.ndarray) -> np.ndarray:
+    """Unbiased ΣJᵀJ of (batches, n, 3, 6)."""
+    batches = values.reshape(len(values), -1, 6)
+    total = batches.sum(axis=0)
+    return (total.T @ total - sum(b.T @ b for b in batches)) / (len(values) * (len(values) - 1))
+
+
+def projection(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """⟨a, b⟩ column by column, of independent estimates."""
+    return np.einsum("ncj,ncj->j", a.mean(axis=0), b.mean(axis=0))
+
+
+# Closed forms of the flow and its divergence
+
+
+@pytest.mark.parametrize("sensor", [{}, THIN], ids=["perspective", "thinlens"])
+def test_flow_and_divergence_are_those_of_the_sensor_model(sensor: dict[str, Any]) -> None:
+    """f by forward mode through the sensor's rays onto a tilted plane, ∇·f by differences of that f."""
+    normal = (np.array([0.3, -0.5, -1.0]) / np.linalg.norm([0.3, -0.5, -1.0])).tolist()
+    film0 = np.array([[5.0, 20.0, 14.0], [4.0, 9.0, 21.0]])
+    with open_view(scene(sensor=camera() | sensor)) as view:
+        aperture = mi.Point2f(0.8, 0.3)
+
+        def plane_point(x: mi.Float, y: mi.Float, twist: list[mi.Float]) -> tuple[Any, mi.Ray3f]:
+            ray, _ = camera_ray(view, mi.Point2f(x, y), aperture)
+            a, b, c, d, e, f = twist
+            generator = mi.Matrix4f(1, -f, e, a, f, 1, -d, b, -e, d, 1, c, 0, 0, 0, 1)
+            moved = move_ray(ray, mi.Transform4f(generator))
+            n = mi.Vector3f(normal)
+            t = (3.0 * normal[2] - dr.dot(n, mi.Vector3f(moved.o))) / dr.dot(n, moved.d)
+            return moved.o + t * moved.d, ray
+
+        def derivative(film: np.ndarray, which: int) -> np.ndarray:
+            variables = [mi.Float(film[0].astype(np.float32)), mi.Float(film[1].astype(np.float32))]
+            variables += [mi.Float(0.0) for _ in range(6)]
+            dr.enable_grad(variables[which])
+            point, _ = plane_point(variables[0], variables[1], variables[2:])
+            dr.forward_from(variables[which])
+            gradient = np.array(dr.grad(point), dtype=np.float64)
+            return np.broadcast_to(gradient.reshape(3, -1), (3, film.shape[1]))
+
+        def film_flow(film: np.ndarray) -> np.ndarray:
+            """(n, 2, 6): the film velocity that keeps the plane's point: X_v f + X_ξ = 0."""
+            along = np.stack([derivative(film, k) for k in range(8)], axis=-1).transpose(1, 0, 2)
+            return np.stack([-np.linalg.lstsq(a[:, :2], a[:, 2:], rcond=None)[0] for a in along])
+
+        expected = film_flow(film0)
+        step = 0.5
+        shifts = np.eye(2) * step
+        divergence = sum(
+            (film_flow(film0 + s[:, None]) - film_flow(film0 - s[:, None]))[:, k] / (2 * step)
+            for k, s in enumerate(shifts)
+        )
+
+        focal = flow.prepare(view).focal
+        point, ray = plane_point(
+            mi.Float(film0[0].astype(np.float32)), mi.Float(film0[1].astype(np.float32)), [mi.Float(0.0)] * 6
+        )
+        to_lens = ray.o.z / ray.d.z
+        lens = mi.Point3f(ray.o - to_lens * ray.d)
+        distance = to_lens + dr.dot(point - ray.o, ray.d)
+
+        def closed(gradient: tuple[float, float], value: float) -> np.ndarray:
+            half = PairSample(mi.Point2f(0.0, 0.0), mi.Vector2f(*gradient), mi.Float(value))
+            got = flow._divergences(
+                half, ray, lens, mi.Bool(True), distance, mi.Vector3f(list(normal)), focal
+            )
+            return np.stack([np.broadcast_to(np.array(x, dtype=np.float64), 3) for x in got], axis=-1)
+
+        scale = np.abs(expected).max()
+        assert closed((1.0, 0.0), 0.0) == pytest.approx(expected[:, 0], abs=1e-4 * scale)
+        assert closed((0.0, 1.0), 0.0) == pytest.approx(expected[:, 1], abs=1e-4 * scale)
+        assert closed((0.0, 0.0), 1.0) == pytest.approx(divergence, abs=2e-3 * np.abs(divergence).max())
+
+
+@pytest.mark.parametrize("normal", [(1.0, 0.0, 0.0), (np.nan, 0.0, 0.0), (0.0, 0.0, 0.0)])
+def test_a_plane_through_the_lens_point_gives_no_infinity(normal: tuple[float, float, float]) -> None:
+    half = PairSample(mi.Point2f(0.0, 0.0), mi.Vector2f(1.0, 1.0), mi.Float(1.0))
+    ray = mi.Ray3f(mi.Point3f(0.0, 0.0, 0.01), mi.Vector3f(0.0, 0.0, 1.0))
+    got = flow._divergences(
+        half,
+        ray,
+        mi.Point3f(0.0),
+        mi.Bool(True),
+        mi.Float(2.0),
+        mi.Vector3f(list(normal)),
+        mi.Vector2f(30.0, 30.0),
+    )
+    assert all(np.isfinite(np.array(value)).all() for value in got)
+
+
+# Pairs
+
+
+@pytest.mark.parametrize("name", ["gaussian", "box", "tent", "mitchell", "catmullrom", "lanczos"])
+def test_pairs_have_the_moments_of_the_filter_and_its_derivative(name: str) -> None:
+    """∫h = 1, ∫∂h/∂x x = −1, ∫∂h/∂x x³ = −3 ∫h x²; 2²⁰ pairs, to 5 standard errors."""
+    n = 1 << 20
+    with open_view(scene(sensor=with_filter(name))) as view:
+        pixel_filter = PixelFilter.of(view)
+        pairs = filter_pairs(pixel_filter)
+        x = np.linspace(-pixel_filter.radius, pixel_filter.radius, 200001)
+        h = np.array(pixel_filter.eval(mi.Float(x.astype(np.float32))), dtype=np.float64)
+        second = float(np.sum(h * x * x) * (x[1] - x[0]))
+        rng = mi.PCG32(n, 7, 3)
+        value, slopes, cubes = np.zeros(n), np.zeros((2, n)), np.zeros((2, n))
+        for kind in range(pairs.kinds):
+            numbers = mi.Float(rng.next_float32()), mi.Float(rng.next_float32())
+            for mirrored in (False, True):
+                half = pairs.draw(
+                    dr.full(mi.UInt32, kind, n), *numbers, mi.Bool(mirrored), [mi.Float(1.0)] * pairs.kinds
+                )
+                offset = np.array(half.offset, dtype=np.float64)
+                gradient = np.array(half.gradient, dtype=np.float64)
+                value += np.array(half.value, dtype=np.float64)
+                slopes += gradient * offset
+                cubes += gradient * offset**3
+    checks = [(value, 1.0), *((s, -1.0) for s in slopes), *((c, -3.0 * second) for c in cubes)]
+    for samples, expected in checks:
+        assert samples.mean() == pytest.approx(expected, abs=5 * samples.std() / np.sqrt(n) + 2e-4)
+
+
+@pytest.mark.parametrize("name", ["gaussian", "box"])
+@pytest.mark.parametrize("per_batch", [1, 2, 3, 5])
+def test_few_paths_per_batch_stay_unbiased(name: str, per_batch: int) -> None:
+    """Every batch alone projects onto a reference with slope 1, to 4 standard errors over 64 batches."""
+    batches = 64
+    with open_view(textured_wall(sensor=with_filter(name))) as view:
+        prepared, pixels = flow.prepare(view), all_pixels(view)
+        reference, _ = flow.jacobian(view, pixels, spp=1024, seed=9, batches=4, prepared=prepared)
+        values, _ = flow.jacobian(
+            view, pixels, spp=per_batch * batches, seed=1, batches=batches, prepared=prepared
+        )
+    mean = reference.mean(axis=0)
+    slope = np.einsum("kncj,ncj->kj", values, mean) / np.einsum("ncj,ncj->j", mean, mean)
+    error = slope.std(axis=0, ddof=1) / np.sqrt(batches)
+    assert np.all(np.abs(slope.mean(axis=0) - 1.0) < 4 * error + 0.01)
+
+
+# Paths
+
+
+GLASS = {"type": "sphere", "center": [0.2, 0.1, 2.0], "radius": 0.4, "bsdf": {"type": "dielectric"}}
+
+
+@pytest.mark.parametrize(
+    "integrator", [{"type": "path", "max_depth": 6, "rr_depth": 2}, {"type": "path", "max_depth": 1}]
+)
+def test_the_path_tracer_is_mitsubas_path(integrator: dict[str, Any]) -> None:
+    """The same radiance from the same random numbers, to rounding."""
+    which = scene(wall=wall(texture()), ball=GLASS) | {"integrator": integrator}
+    with open_view(which) as view:
+        pixel, batch, centre = lanes(view, all_pixels(view), 8)
+        ray, _ = camera_ray(view, centre, mi.Point2f(0.5, 0.5))
+        world = move_ray(ray, opaque_transform(view.pose))
+        tracers = paths.tracer(view), paths.IntegratorTracer()
+        ours, mitsubas = (
+            np.array(t.trace(view, lane_sampler(pixel, batch, 3), world).light, dtype=np.float64)
+            for t in tracers
+        )
+    assert isinstance(tracers[0], paths.PathTracer)
+    different = np.abs(ours - mitsubas) > 1e-4 * (1.0 + mitsubas)
+    assert different.mean() < 1e-3  # rounding may flip a choice between reflection and refraction
+
+
+@pytest.mark.parametrize(
+    ("integrator", "expected"),
+    [
+        ({"type": "path"}, paths.PathTracer),
+        ({"type": "prb"}, paths.PathTracer),
+        ({"type": "direct"}, paths.PathTracer),
+        ({"type": "direct", "emitter_samples": 4}, paths.IntegratorTracer),
+        ({"type": "path", "hide_emitters": True}, paths.IntegratorTracer),
+        ({"type": "volpath"}, paths.IntegratorTracer),
+        ({"type": "prb_basic"}, paths.IntegratorTracer),
+    ],
+)
+def test_other_estimators_are_called_as_they_are(integrator: dict[str, Any], expected: type) -> None:
+    with open_view(textured_wall() | {"integrator": integrator}) as view:
+        assert isinstance(paths.tracer(view), expected)
+
+
+# View term
+
+
+@pytest.mark.parametrize(
+    "bsdf",
+    [
+        {"type": "roughconductor", "alpha": 0.2},
+        {"type": "roughplastic", "alpha": 0.2},
+        {"type": "roughdielectric", "alpha": 0.3},
+        {"type": "principled", "roughness": 0.4, "metallic": 0.5},
+        {"type": "twosided", "bsdf": {"type": "roughconductor", "alpha": 0.3}},
+    ],
+    ids=lambda bsdf: bsdf["type"],
+)
+def test_lobes_turn_as_the_bsdf_does(bsdf: dict[str, Any]) -> None:
+    """Forward mode against central differences of f; away from grazing, where those are inaccurate."""
+    n, step = 500, 2e-3
+    rng = np.random.default_rng(4)
+    wi, wo, tangent = (v / np.linalg.norm(v, axis=0) for v in rng.normal(size=(3, 3, n)))
+    wi[2], wo[2] = np.abs(wi[2]) + 0.4, np.abs(wo[2]) + 0.2
+    wi, wo = wi / np.linalg.norm(wi, axis=0), wo / np.linalg.norm(wo, axis=0)
+    tangent -= wi * np.sum(wi * tangent, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=0)
+
+    def vector(value: np.ndarray) -> mi.Vector3f:
+        return mi.Vector3f(*(mi.Float(row.astype(np.float32)) for row in value))
+
+    with open_view(scene(wall=wall() | {"bsdf": bsdf})) as view:
+        ray = mi.Ray3f(mi.Point3f(dr.zeros(mi.Float, n), 0.0, 1.0), mi.Vector3f(0.0, 0.0, 1.0))
+        hit = view.scene.ray_intersect(ray)
+        values = []
+        for sign in (1.0, -1.0):
+            hit.wi = dr.normalize(vector(wi + sign * step * tangent))
+            values.append(np.array(hit.bsdf().eval(mi.BSDFContext(), hit, vector(wo)), dtype=np.float64))
+        hit.wi = vector(wi)
+        seen = paths.Seen(hit, mi.Color3f(0.0), [(vector(wo), mi.Color3f(1.0))])
+        got = _turn_of_lobes(seen, hit.to_world(vector(tangent)), mi.Bool(True))
+        turned = np.array(got, dtype=np.float64)
+    expected = (values[0] - values[1]) / (2 * step)
+    assert turned == pytest.approx(expected, abs=5e-3 * np.abs(expected).max())
+
+
+def test_diffuse_flat_scenes_need_no_view_term() -> None:
+    with open_view(textured_wall()) as view:
+        assert ViewTerm.of(view, paths.tracer(view)) is None
+
+
+def glowing(name: str, shape: dict[str, Any], seed: int) -> dict[str, Any]:
+    """A textured lamp that reflects nothing: what a mirror shows without noise of its own."""
+    return {
+        name: shape
+        | {
+            "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}},
+            "emitter": {"type": "area", "radiance": texture(seed, 16)},
+        }
+    }
+
+
+def seen_through(bsdf: dict[str, Any], **options: Any) -> dict[str, Any]:
+    """A plane of some material that fills the view, between glowing walls."""
+    behind = {"type": "rectangle", "to_world": T().translate([0, 0, -4]).scale(9)}
+    beyond = {"type": "rectangle", "to_world": T().translate([0, 0, 5]).scale(9).rotate([0, 1, 0], 180)}
+    shapes = glowing("behind", behind, 3) | glowing("beyond", beyond, 5)
+    result = scene(wall=wall() | {"bsdf": bsdf}, **shapes, **options)
+    del result["light"]
+    return result | {"integrator": {"type": "path", "max_depth": 4}}
+
+
+OPACITY = texture(8, 12)
+NORMALS = {
+    "type": "normalmap",
+    "normalmap": {
+        "type": "bitmap",
+        "raw": True,
+        "bitmap": mi.Bitmap(
+            (
+                np.concatenate([np.random.default_rng(6).normal(0.5, 0.1, (8, 8, 2)), np.ones((8, 8, 1))], -1)
+            ).astype(np.float32)
+        ),
+    },
+    "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.8}},
+}
+VIEW_SCENES = {
+    "mirror": seen_through({"type": "conductor"}),
+    "glass pane": seen_through({"type": "thindielectric"}),
+    "mask": seen_through({"type": "mask", "opacity": OPACITY, "bsdf": {"type": "conductor"}}),
+    "rough plastic": scene(
+        wall=wall() | {"bsdf": {"type": "roughplastic", "alpha": 0.2, "diffuse_reflectance": texture(2)}}
+    ),
+    "normal map": scene(wall=wall() | {"bsdf": NORMALS})
+    | {"light": {"type": "point", "position": [2, 2, 0]}},
+    "thin lens mirror": seen_through({"type": "conductor"}, sensor=camera() | THIN),
+}
+
+
+def compare(which: dict[str, Any], spp: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """F's diagonal by flow and by finite differences, and ⟨J_flow, J_fd⟩ column by column."""
+    with open_view(which) as view:
+        pixels = all_pixels(view)
+        ours, _ = flow.jacobian(view, pixels, spp=spp, seed=1, batches=8)
+        theirs, _ = finite_difference.jacobian(view, pixels, spp=spp, seed=2, batches=8)
+    return np.diag(information(ours)), np.diag(information(theirs)), projection(ours, theirs)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(VIEW_SCENES))
+def test_radiance_that_depends_on_the_view_agrees_with_finite_differences(name: str) -> None:
+    """⟨J_flow, J_fd⟩/⟨J_fd, J_fd⟩ within 4 %: the step bias of both (1 to 2 %) and noise."""
+    ours, theirs, together = compare(VIEW_SCENES[name], 2048)
+    assert together / theirs == pytest.approx(np.ones(6), abs=0.04)
+    assert ours / theirs == pytest.approx(np.ones(6), abs=0.08)
+
+
+def test_without_the_view_term_a_mirror_would_know_too_much(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Negative control: a mirror taken for a painted wall overstates translation; the view term mends it."""
+    right, reference, _ = compare(VIEW_SCENES["mirror"], 512)
+    monkeypatch.setattr(ViewTerm, "of", staticmethod(lambda *_: None))
+    wrong, _, _ = compare(VIEW_SCENES["mirror"], 512)
+    assert right[:2] / reference[:2] == pytest.approx(np.ones(2), abs=0.2)
+    assert np.all(wrong[:2] / reference[:2] > 2.0)
+    assert wrong[3:] / reference[3:] == pytest.approx(np.ones(3), abs=0.05)
+
+
+# Kernels
+
+
+def test_a_new_pose_seed_subset_or_sample_count_compiles_nothing() -> None:
+    gc.collect()  # BSDFs of earlier scenes are part of a kernel's virtual calls while they live
+    which = mi.load_dict(scene(wall=wall() | {"bsdf": {"type": "roughplastic", "alpha": 0.2}}))
+    turn = se3.exp(np.array([0.01, 0.02, -0.03, 0.01, 0.02, 0.03]))
+
+    def compiled(count: int, spp: int, seed: int, move: np.ndarray) -> int:
+        with open_view(which) as view:
+            pose = view.pose @ move
+        with open_view(which, pose=pose) as view:
+            dr.kernel_history_clear()
+            flow.jacobian(view, all_pixels(view)[:count], spp=spp, seed=seed, batches=4)
+            return sum(not kernel.get("cache_hit", True) for kernel in dr.kernel_history())
+
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        compiled(100, 16, 0, np.eye(4))
+        assert compiled(57, 32, 1 << 40, turn) == 0
+        assert compiled(300, 24, 2, turn @ turn) == 0
