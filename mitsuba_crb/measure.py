@@ -16,7 +16,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from types import ModuleType
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,41 +42,44 @@ Progress = Callable[["TileJacobian", int, int], None]
 """Called after each tile with its Jacobian, the pixels done and the pixels in total."""
 
 
-def pose_jacobian(
-    scene: Any,
-    *,
-    sensor: int | str = 0,
-    pose: Any = None,
-    method: str = DEFAULT_METHOD,
-    spp: int = 64,
-    seed: int = 0,
-    batches: int = 4,
-    pixels: Any = None,
-    integrator: Any = None,
-    size: tuple[int, int] | None = None,
-    tile: int = 128,
-    drop_invalid: bool = False,
-    on_tile: Progress | None = None,
-    step_pixels: float = STEP_PIXELS,
-) -> ImageJacobian:
+class MeasurementOptions(TypedDict, total=False):
+    """What every measurement of a view can be told, by keyword."""
+
+    sensor: int | str
+    """Index or id; default 0."""
+    pose: Any
+    """`world_from_camera`, 4x4 or `RigidTransform`, in place of the sensor's own."""
+    method: str
+    """One of `METHODS`; default "flow"."""
+    spp: int
+    """Paths per pixel over all batches, a multiple of `batches`; default 64. Finite differences trace 12
+    times that, "forward" 6 times."""
+    seed: int
+    """Of all random numbers; equal calls give equal bits. Default 0."""
+    batches: int
+    """Independent estimates, at least 4, the default."""
+    pixels: Any
+    """None (all, the default), "random:f", "gradient:f", a boolean mask (H, W), or a mask image's path."""
+    integrator: Any
+    """In place of the scene's: an `mi.Integrator`, a plugin's name or a dictionary."""
+    size: tuple[int, int] | None
+    """Width and height [pixel] in place of the film's."""
+    tile: int
+    """Side of the tiles [pixel], a multiple of 16; bounds the memory, not the result. Default 128."""
+    drop_invalid: bool
+    """Leave out pixels whose radiance is not finite instead of raising; default False."""
+    on_tile: Progress | None
+    """Called after each tile."""
+    step_pixels: float
+    """Image motion of a finite-difference step [pixel]; other methods have none."""
+
+
+def pose_jacobian(scene: Any, **options: Unpack[MeasurementOptions]) -> ImageJacobian:
     """The Jacobian dI/dξ of every selected pixel, in the camera frame.
 
     Args:
         scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
-        sensor: index or id.
-        pose: `world_from_camera`, 4x4 or `RigidTransform`, in place of the sensor's own.
-        method: one of `METHODS`.
-        spp: paths per pixel over all batches; a multiple of `batches`. Finite differences trace 12 times
-            that, "forward" 6 times.
-        seed: of all random numbers; equal calls give equal bits.
-        batches: independent estimates, at least 4.
-        pixels: None, "random:f", "gradient:f", a boolean mask (H, W), or the path of a mask image.
-        integrator: in place of the scene's: an `mi.Integrator`, a plugin's name or a dictionary.
-        size: width and height [pixel] in place of the film's.
-        tile: side of the tiles [pixel], a multiple of 16; bounds the memory, not the result.
-        drop_invalid: leave out pixels whose radiance is not finite instead of raising.
-        on_tile: called after each tile.
-        step_pixels: image motion of a finite-difference step [pixel]; other methods have none.
+        options: see `MeasurementOptions`.
 
     Returns:
         `ImageJacobian` in the camera frame; translation columns [radiance / scene unit], rotation columns
@@ -88,23 +91,10 @@ def pose_jacobian(
     References:
         Muthukkumar 2025, section 3; design section 4.
     """
-    with _measurement(
-        scene,
-        sensor=sensor,
-        pose=pose,
-        integrator=integrator,
-        size=size,
-        method=method,
-        spp=spp,
-        seed=seed,
-        batches=batches,
-        tile=tile,
-        step_pixels=step_pixels,
-    ) as run:
-        mask = run.select(pixels)
+    with measurement(scene, **options) as run:
         run.warn_of_limits()
-        image = np.full((*mask.shape, 3), np.nan)
-        parts = list(run.tiles(mask, drop_invalid, on_tile))
+        image = np.full((*run.mask.shape, 3), np.nan)
+        parts = list(run.tiles())
         for part in parts:
             image[part.pixels[:, 1], part.pixels[:, 0]] = part.mean
         return ImageJacobian(
@@ -122,30 +112,16 @@ def pose_jacobian(
 
 
 def pose_bound(
-    scene: Any,
-    noise: NoiseModel | None = None,
-    *,
-    sensor: int | str = 0,
-    pose: Any = None,
-    method: str = DEFAULT_METHOD,
-    spp: int = 64,
-    seed: int = 0,
-    batches: int = 4,
-    pixels: Any = None,
-    integrator: Any = None,
-    size: tuple[int, int] | None = None,
-    tile: int = 128,
-    drop_invalid: bool = False,
-    on_tile: Progress | None = None,
-    prior: Any = None,
+    scene: Any, noise: NoiseModel | None = None, *, prior: Any = None, **options: Unpack[MeasurementOptions]
 ) -> PoseBound:
     """The Cramér–Rao bound on the camera's pose: streams tile by tile and never holds the Jacobian.
 
     Args:
+        scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
         noise: noise model of the measured image; None is Gaussian with 0.01 of the image's white, the 99th
             percentile of a pilot render.
         prior: information known beforehand, see `cramer_rao_bound`.
-        Others as `pose_jacobian`.
+        options: see `MeasurementOptions`.
 
     Returns:
         `PoseBound`, matrices in the camera frame; `.provenance` says how it was made.
@@ -157,28 +133,15 @@ def pose_bound(
     start = time.perf_counter()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        with _measurement(
-            scene,
-            sensor=sensor,
-            pose=pose,
-            integrator=integrator,
-            size=size,
-            method=method,
-            spp=spp,
-            seed=seed,
-            batches=batches,
-            tile=tile,
-            step_pixels=STEP_PIXELS,
-        ) as run:
-            mask = run.select(pixels)
+        with measurement(scene, **options) as run:
             model, origin = run.noise(noise)
-            model.check(mask.shape[0], mask.shape[1], 3)
+            model.check(run.mask.shape[0], run.mask.shape[1], 3)
             run.warn_of_limits()
             prepared = time.perf_counter()
             accumulator = InformationAccumulator(
-                batches=batches, block=run.block, sampled=run.selection.kind == "random"
+                batches=run.batches, block=run.block, sampled=run.selection.kind == "random"
             )
-            for part in run.tiles(mask, drop_invalid, on_tile):
+            for part in run.tiles():
                 accumulator.add(part.batch_values, model.weights(part.pixels, part.mean), part.pixels)
             information = accumulator.information(
                 frame="camera",
@@ -218,7 +181,7 @@ class TileJacobian:
 
 
 @dataclasses.dataclass
-class _Measurement:
+class Measurement:
     """An opened view, its checked options and what the pilot renders said of it."""
 
     view: View
@@ -227,10 +190,15 @@ class _Measurement:
     seed: int
     batches: int
     tile: int
+    drop_invalid: bool
+    on_tile: Progress | None
     prepared: Any
     """What the method's `prepare` returned."""
     length_scale: float
+    mask: NDArray[np.bool_]
+    """(H, W), the pixels to measure."""
     selection: PixelSelection
+    """What they stand for."""
 
     @property
     def block(self) -> int:
@@ -254,32 +222,13 @@ class _Measurement:
             "versions": versions(),
         }
 
-    def select(self, pixels: Any) -> NDArray[np.bool_]:
-        """The pixels to measure as a mask (H, W); sets `selection`."""
-        mask, self.selection = subset.choose(pixels, self.view.size, self.seed, self._pilot_image)
-        return mask
-
-    def _pilot_image(self) -> NDArray[np.float64]:
-        """(H, W, 3) a pilot render of every pixel."""
-        width, height = self.view.size
-        image = np.empty((height, width, 3))
-        for part in subset.tiles(np.ones((height, width), dtype=bool), self.tile):
-            image[part[:, 1], part[:, 0]] = self._pilot(part)
-        return image
-
-    def _pilot(self, pixels: NDArray[np.int64]) -> NDArray[np.float64]:
-        from .jacobian.pixels import PILOT, render_pixels
-
-        image = render_pixels(self.view, pixels, spp=_PILOT_SPP, seed=self.seed, purpose=PILOT)
-        return np.asarray(image[0])
-
     def noise(self, model: NoiseModel | None) -> tuple[NoiseModel, str]:
         """The noise model and where it came from."""
         if model is not None:
             return model, "given"
         from .jacobian.pixels import coarse_grid
 
-        pilot = self._pilot(coarse_grid(self.view.size, _PILOT_GRID).reshape(-1, 2))
+        pilot = _pilot(self.view, coarse_grid(self.view.size, _PILOT_GRID).reshape(-1, 2), self.seed)
         finite = pilot[np.isfinite(pilot)]
         white = float(np.percentile(finite, 99.0)) if finite.size else 0.0
         if not white > 0.0:
@@ -303,13 +252,11 @@ class _Measurement:
                     stacklevel=4,
                 )
 
-    def tiles(
-        self, mask: NDArray[np.bool_], drop_invalid: bool, on_tile: Progress | None
-    ) -> Iterator[TileJacobian]:
+    def tiles(self) -> Iterator[TileJacobian]:
         """The Jacobian, one tile after the other."""
         jacobian = _module(self.method).jacobian
-        done, total, invalid = 0, int(mask.sum()), 0
-        for part in subset.tiles(mask, self.tile):
+        done, total, invalid = 0, int(self.mask.sum()), 0
+        for part in subset.tiles(self.mask, self.tile):
             values, primal = jacobian(
                 self.view,
                 part,
@@ -322,11 +269,11 @@ class _Measurement:
             good = np.isfinite(values).all(axis=(0, 2, 3)) & np.isfinite(primal).all(axis=1)
             invalid += int((~good).sum())
             tile = TileJacobian(values[:, good], part[good], primal[good])
-            if on_tile is not None:
-                on_tile(tile, done, total)
-            if drop_invalid or not invalid:
+            if self.on_tile is not None:
+                self.on_tile(tile, done, total)
+            if self.drop_invalid or not invalid:
                 yield tile
-        if invalid and not (drop_invalid and invalid < total):
+        if invalid and not (self.drop_invalid and invalid < total):
             raise RadianceError(
                 f"{invalid} of {total} pixels have radiance that is NaN or infinite; mend the scene or leave "
                 "them out with --drop-invalid (drop_invalid=True)"
@@ -334,37 +281,61 @@ class _Measurement:
 
 
 @contextlib.contextmanager
-def _measurement(
+def measurement(
     scene: Any,
     *,
-    sensor: int | str,
-    pose: Any,
-    integrator: Any,
-    size: tuple[int, int] | None,
-    method: str,
-    spp: int,
-    seed: int,
-    batches: int,
-    tile: int,
-    step_pixels: float,
-) -> Iterator[_Measurement]:
+    sensor: int | str = 0,
+    pose: Any = None,
+    method: str = DEFAULT_METHOD,
+    spp: int = 64,
+    seed: int = 0,
+    batches: int = 4,
+    pixels: Any = None,
+    integrator: Any = None,
+    size: tuple[int, int] | None = None,
+    tile: int = 128,
+    drop_invalid: bool = False,
+    on_tile: Progress | None = None,
+    step_pixels: float = STEP_PIXELS,
+) -> Iterator[Measurement]:
+    """A view, opened and prepared, as `MeasurementOptions` says; the scene is as before afterwards."""
     _check_options(method, spp, seed, batches, tile)
     with open_view(scene, sensor=sensor, pose=pose, integrator=integrator, size=size) as view:
         from .jacobian.pixels import visible_depth
 
         visible = visible_depth(view)
-        options = {"step_pixels": step_pixels} if method == "finite_difference" else {}
-        yield _Measurement(
+        mask, selection = subset.choose(pixels, view.size, seed, lambda: _pilot_image(view, seed, tile))
+        step = {"step_pixels": step_pixels} if method == "finite_difference" else {}
+        yield Measurement(
             view=view,
             method=method,
             spp=spp,
             seed=seed,
             batches=batches,
             tile=tile,
-            prepared=_module(method).prepare(view, **options),
+            drop_invalid=drop_invalid,
+            on_tile=on_tile,
+            prepared=_module(method).prepare(view, **step),
             length_scale=float(np.median(visible)) if visible.size else 1.0,
-            selection=subset.everything(view.size),
+            mask=mask,
+            selection=selection,
         )
+
+
+def _pilot_image(view: View, seed: int, tile: int) -> NDArray[np.float64]:
+    """(H, W, 3) a pilot render of every pixel."""
+    width, height = view.size
+    image = np.empty((height, width, 3))
+    for part in subset.tiles(np.ones((height, width), dtype=bool), tile):
+        image[part[:, 1], part[:, 0]] = _pilot(view, part, seed)
+    return image
+
+
+def _pilot(view: View, pixels: NDArray[np.int64], seed: int) -> NDArray[np.float64]:
+    from .jacobian.pixels import PILOT, render_pixels
+
+    image = render_pixels(view, pixels, spp=_PILOT_SPP, seed=seed, purpose=PILOT)
+    return np.asarray(image[0])
 
 
 def _module(method: str) -> ModuleType:

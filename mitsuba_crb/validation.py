@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from .errors import OptionError
 from .information import FisherInformation, ImageJacobian, fisher_information
 from .jacobian import finite_difference
-from .measure import METHODS, pose_jacobian
+from .measure import METHODS, MeasurementOptions, pose_jacobian
 from .noise import Gaussian
 
 AGREEMENT = 0.05
@@ -29,6 +29,9 @@ AGREEMENT = 0.05
 
 DEFAULT_METHODS = ("flow", "forward")
 """What is checked unless the user names methods."""
+
+DEFAULT_OPTIONS: MeasurementOptions = {"spp": 256, "batches": 8}
+"""More batches than the bound's four, for standard errors that are themselves certain."""
 
 _SIGMAS = 3.0
 
@@ -86,25 +89,15 @@ class JacobianCheck:
 
 
 def check_jacobian(
-    scene: Any,
-    *,
-    methods: Sequence[str] = DEFAULT_METHODS,
-    sensor: int | str = 0,
-    pose: Any = None,
-    spp: int = 256,
-    seed: int = 0,
-    batches: int = 8,
-    pixels: Any = None,
-    integrator: Any = None,
-    size: tuple[int, int] | None = None,
+    scene: Any, *, methods: Sequence[str] = DEFAULT_METHODS, **options: Unpack[MeasurementOptions]
 ) -> JacobianCheck:
     """Compare methods with finite differences on one view.
 
     Args:
+        scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
         methods: names of the methods to check.
-        spp: paths per pixel of each method; finite differences trace 12 times that, at two steps.
-        batches: more than the bound's four, for standard errors that are themselves certain.
-        Others as `pose_jacobian`.
+        options: see `MeasurementOptions`, of which `method` and `step_pixels` are set here; defaults in
+            `DEFAULT_OPTIONS`. Finite differences trace 12 times `spp`, at two steps.
 
     Returns:
         `JacobianCheck`; its `exit_code` is 0 (agree within what was detectable, and that is at most 5 %), 1
@@ -118,20 +111,17 @@ def check_jacobian(
         known = [name for name in METHODS if name != "finite_difference"]
         raise OptionError(f"methods to check: {', '.join(known)}; got {', '.join(unknown) or 'none'}")
 
+    options = {**DEFAULT_OPTIONS, **options}
+    seed = options.pop("seed", 0)
+
     def run(method: str, stream: int, step: float = finite_difference.STEP_PIXELS) -> ImageJacobian:
-        return pose_jacobian(
-            scene,
-            method=method,
-            sensor=sensor,
-            pose=pose,
-            spp=spp,
-            seed=seed + stream,
-            batches=batches,
-            pixels=pixels,
-            integrator=integrator,
-            size=size,
-            step_pixels=step,
-        )
+        given: MeasurementOptions = {
+            **options,
+            "method": method,
+            "seed": seed + stream,
+            "step_pixels": step,
+        }
+        return pose_jacobian(scene, **given)
 
     reference = run("finite_difference", 1)
     noise = Gaussian(float(np.nanmax(np.abs(reference.image))) or 1.0)

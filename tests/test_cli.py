@@ -152,16 +152,16 @@ def test_options_reach_the_library(rendered, capsys, tmp_path):
     assert rendered.noise.sigma == 0.1
 
 
-@pytest.mark.parametrize(
-    ("command", "function"), [(cli.bound, measure.pose_bound), (cli.check, validation.check_jacobian)]
-)
-def test_defaults_are_the_librarys(command, function):
-    ours, theirs = inspect.signature(command).parameters, inspect.signature(function).parameters
-    shared = {name for name in ours if name in theirs} - {"scene", "sensor"}
+@pytest.mark.parametrize(("command", "other"), [(cli.bound, {}), (cli.check, validation.DEFAULT_OPTIONS)])
+def test_defaults_are_the_librarys(command, other):
+    ours = {name: option.default for name, option in inspect.signature(command).parameters.items()}
+    theirs = inspect.signature(measure.measurement).parameters
+    defaults = {name: option.default for name, option in theirs.items()} | other
+    shared = (ours.keys() & defaults.keys()) - {"scene", "sensor", "method"}
     assert {"spp", "seed", "batches", "size", "pose"} <= shared
     for name in shared:
-        assert ours[name].default == theirs[name].default
-    assert int(ours["sensor"].default) == theirs["sensor"].default
+        assert ours[name] == defaults[name]
+    assert int(ours["sensor"]) == defaults["sensor"]
 
 
 @pytest.mark.parametrize(
