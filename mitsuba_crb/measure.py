@@ -93,22 +93,7 @@ def pose_jacobian(scene: Any, **options: Unpack[MeasurementOptions]) -> ImageJac
     """
     with measurement(scene, **options) as run:
         run.warn_of_limits()
-        image = np.full((*run.mask.shape, 3), np.nan)
-        parts = list(run.tiles())
-        for part in parts:
-            image[part.pixels[:, 1], part.pixels[:, 0]] = part.mean
-        return ImageJacobian(
-            batch_values=np.concatenate([part.batch_values for part in parts], axis=1),
-            pixels=np.concatenate([part.pixels for part in parts]),
-            image=image,
-            frame="camera",
-            pose=run.view.pose,
-            selection=run.selection,
-            length_scale=run.length_scale,
-            variable=run.view.variable,
-            block=run.block,
-            provenance=run.provenance(),
-        )
+        return run.jacobian()
 
 
 def pose_bound(
@@ -192,6 +177,8 @@ class Measurement:
     tile: int
     drop_invalid: bool
     on_tile: Progress | None
+    step: dict[str, float]
+    """What the method's `prepare` takes beside the view."""
     prepared: Any
     """What the method's `prepare` returned."""
     length_scale: float
@@ -251,6 +238,30 @@ class Measurement:
                     BlindSpotWarning,
                     stacklevel=4,
                 )
+
+    def at(self, pose: NDArray[np.float64]) -> Measurement:
+        """The same measurement of the view from another pose (4, 4), prepared there."""
+        view = dataclasses.replace(self.view, pose=pose)
+        return dataclasses.replace(self, view=view, prepared=_module(self.method).prepare(view, **self.step))
+
+    def jacobian(self) -> ImageJacobian:
+        """The Jacobian of every selected pixel, held at once."""
+        image = np.full((*self.mask.shape, 3), np.nan)
+        parts = list(self.tiles())
+        for part in parts:
+            image[part.pixels[:, 1], part.pixels[:, 0]] = part.mean
+        return ImageJacobian(
+            batch_values=np.concatenate([part.batch_values for part in parts], axis=1),
+            pixels=np.concatenate([part.pixels for part in parts]),
+            image=image,
+            frame="camera",
+            pose=self.view.pose,
+            selection=self.selection,
+            length_scale=self.length_scale,
+            variable=self.view.variable,
+            block=self.block,
+            provenance=self.provenance(),
+        )
 
     def tiles(self) -> Iterator[TileJacobian]:
         """The Jacobian, one tile after the other."""
@@ -315,6 +326,7 @@ def measurement(
             tile=tile,
             drop_invalid=drop_invalid,
             on_tile=on_tile,
+            step=step,
             prepared=_module(method).prepare(view, **step),
             length_scale=float(np.median(visible)) if visible.size else 1.0,
             mask=mask,
