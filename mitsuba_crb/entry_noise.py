@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from .errors import MessageError
 from .se3 import Array
-from .symmetric import TRIANGLE
+from .symmetric import triangle
 
 LARGEST_NOISE = 1e15
 """Standard errors in row-scaled units may reach this."""
@@ -30,7 +30,7 @@ LARGEST_NOISE = 1e15
 LARGEST_INFLATION = 1e30
 """C is far below this; anything else is a corrupt message."""
 
-_ROW, _COLUMN = TRIANGLE
+_ROW, _COLUMN = triangle(6)
 _LIKE_SIGNAL = (0.0, 1e-4, 1e-3, 1e-2)
 _ROW_PARTS = (0, -4, -8)
 _SMALLEST_EXPONENT = -127

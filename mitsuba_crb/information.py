@@ -32,7 +32,7 @@ from . import se3
 from .errors import FrameError, NoiseError, OptionError, PixelsError, RadianceError
 from .noise import NoiseModel
 from .se3 import Array, Frame
-from .symmetric import congruence, positive_part, symmetrised, unpack
+from .symmetric import congruence, entries, positive_part, symmetrised, unpack
 from .ustatistic import VarianceComponents, block_products, gram, pixel_products, whiten
 
 BLOCK = 16
@@ -63,7 +63,8 @@ class ImageJacobian:
     """Independent estimates of the derivative of an image with respect to the camera's twist."""
 
     batch_values: Array
-    """(K, n, C, 6): K independent unbiased estimates of ∂I/∂ξ [radiance / scene unit], [radiance / rad]."""
+    """(K, n, C, 6 + m): K independent unbiased estimates of ∂I/∂ξ [radiance / scene unit], [radiance / rad],
+    and of the derivatives in m nuisance parameters."""
     pixels: NDArray[np.integer]
     """(n, 2): column x and row y."""
     image: Array
@@ -80,12 +81,14 @@ class ImageJacobian:
     """The camera's name."""
     block: int = 1
     """Side [pixel] of the film blocks whose Monte Carlo errors are independent; 1: every pixel's own."""
+    parameters: tuple[str, ...] = ()
+    """Names of the nuisance parameters, in the order of their columns."""
     provenance: dict[str, Any] = field(default_factory=dict)
     """How it was computed, JSON-able."""
 
     @property
     def values(self) -> Array:
-        """(n, C, 6), the mean over the batches."""
+        """(n, C, 6 + m), the mean over the batches."""
         return np.asarray(self.batch_values.mean(axis=0), dtype=np.float64)
 
     @property
@@ -97,7 +100,10 @@ class ImageJacobian:
     def to_frame(self, frame: Frame) -> ImageJacobian:
         """The same derivative with respect to the twist in another frame: J_a = J_b A for ξ_b = A ξ_a."""
         A = _old_from_new(self.frame, frame, self.pose)
-        return self if A is None else dataclass_replace(self, batch_values=self.batch_values @ A, frame=frame)
+        if A is None:
+            return self
+        twist, others = self.batch_values[..., :6] @ A, self.batch_values[..., 6:]
+        return dataclass_replace(self, batch_values=np.concatenate([twist, others], axis=-1), frame=frame)
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,6 +264,18 @@ class FisherInformation:
             raise FrameError("cannot add information linearised at two different poses")
 
 
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """What an `InformationAccumulator` has summed, for all of its P columns."""
+
+    matrix: Array
+    """(P, P), F̂."""
+    covariance_of_entries: Array
+    """(E, E), E = P (P + 1) / 2, of its upper triangle in `numpy.triu_indices(P)` order."""
+    plain_matrix: Array
+    """(P, P), ĴᵀWĴ."""
+
+
 class InformationAccumulator:
     """Streams the information of an image, block by block; the tiles' sizes and order do not matter.
 
@@ -265,7 +283,7 @@ class InformationAccumulator:
     because the variance is estimated per block. Tiles with sides that are multiples of `BLOCK` satisfy this.
     """
 
-    def __init__(self, *, batches: int, block: int = 1, sampled: bool = False) -> None:
+    def __init__(self, *, batches: int, block: int = 1, sampled: bool = False, columns: int = 6) -> None:
         """Start from nothing.
 
         Args:
@@ -273,6 +291,7 @@ class InformationAccumulator:
             block: side [pixel] of the film blocks whose errors are independent of one another. The smaller,
                 the more certain the standard errors.
             sampled: also sum what the sampling variance of a random pixel subset needs (slower).
+            columns: P, six of the twist and one for each nuisance parameter.
 
         Raises:
             OptionError: fewer than four batches.
@@ -284,17 +303,18 @@ class InformationAccumulator:
         self._sampled = sampled
         self._blocks: set[int] = set()
         self._count = 0
-        self._sum = np.zeros(21)
-        self._plain = np.zeros((6, 6))
-        self._units = VarianceComponents(batches)
-        self._pixels = self._units if block == 1 else VarianceComponents(batches)
-        self._pixel_squares = np.zeros((21, 21))
+        self._columns = columns
+        self._sum = np.zeros(entries(columns))
+        self._plain = np.zeros((columns, columns))
+        self._units = VarianceComponents(batches, columns)
+        self._pixels = self._units if block == 1 else VarianceComponents(batches, columns)
+        self._pixel_squares = np.zeros((entries(columns),) * 2)
 
     def add(self, batch_values: ArrayLike, weights: ArrayLike, pixels: ArrayLike) -> None:
         """Add the pixels of some whole blocks.
 
         Args:
-            batch_values: (K, n, C, 6), independent estimates of ∂I/∂ξ.
+            batch_values: (K, n, C, P), independent estimates of ∂I/∂ξ, then in the nuisance parameters.
             weights: (n, C), inverse noise variances.
             pixels: (n, 2), column x and row y.
 
@@ -317,7 +337,7 @@ class InformationAccumulator:
         root = np.sqrt(precision)
         self._count += len(positions)
         mean = np.multiply(values.mean(axis=0), root[:, :, None])[order]
-        self._plain += gram(mean.reshape(-1, 6))
+        self._plain += gram(mean.reshape(-1, self._columns))
         if self._block > 1:
             blocks = (whiten(values, root, order[start:stop]) for start, stop in pairwise(starts))
             self._sum += self._units.add(block_products(blocks)).sum(axis=1)
@@ -337,6 +357,24 @@ class InformationAccumulator:
         Raises:
             PixelsError: nothing was added, more pixels than selected, or a random subset without `sampled`.
         """
+        sums = self.sums(selection)
+        return FisherInformation(
+            matrix=sums.matrix,
+            covariance_of_entries=sums.covariance_of_entries,
+            frame=frame,
+            variable=variable,
+            pose=se3.as_pose(pose),
+            length_scale=length_scale,
+            selection=selection,
+            plain_matrix=sums.plain_matrix,
+        )
+
+    def sums(self, selection: PixelSelection) -> Sums:
+        """F̂ of all P columns from everything added so far, scaled to the whole image for a random subset.
+
+        Raises:
+            PixelsError: as `information`.
+        """
         n, N = selection.selected, selection.total
         if self._count == 0:
             raise PixelsError("no pixels were measured, so there is no information to report")
@@ -345,16 +383,7 @@ class InformationAccumulator:
         factor, covariance = 1.0, self._units.positive
         if selection.kind == "random" and n < N:
             factor, covariance = N / n, self._sampled_covariance(n, N)
-        return FisherInformation(
-            matrix=factor * unpack(self._sum),
-            covariance_of_entries=covariance,
-            frame=frame,
-            variable=variable,
-            pose=se3.as_pose(pose),
-            length_scale=length_scale,
-            selection=selection,
-            plain_matrix=factor * self._plain,
-        )
+        return Sums(factor * unpack(self._sum), covariance, factor * self._plain)
 
     def _sampled_covariance(self, n: int, N: int) -> Array:
         if not self._sampled:
@@ -390,8 +419,8 @@ class InformationAccumulator:
         return order, [*starts.tolist(), len(order)]
 
     def _check(self, values: Array, weights: Array, pixels: NDArray[Any]) -> None:
-        if values.ndim != 4 or values.shape[-1] != 6:
-            raise PixelsError(f"batch values must have shape (K, n, C, 6), not {values.shape}")
+        if values.ndim != 4 or values.shape[-1] != self._columns:
+            raise PixelsError(f"batch values must have shape (K, n, C, {self._columns}), not {values.shape}")
         if values.shape[0] != self._batches:
             raise OptionError(f"got {values.shape[0]} batches, expected {self._batches}")
         if weights.shape != values.shape[1:3]:
@@ -410,9 +439,15 @@ def fisher_information(jacobian: ImageJacobian, noise: NoiseModel) -> FisherInfo
     Raises:
         NoiseError: the noise model does not fit the image.
         RadianceError: the Jacobian is not finite somewhere.
+        OptionError: the Jacobian has columns of nuisance parameters, see `joint.joint_information`.
     """
     if not isinstance(noise, NoiseModel):
         raise NoiseError(f"expected a noise model such as noise.Gaussian(0.01), not {noise!r}")
+    if jacobian.parameters:
+        raise OptionError(
+            f"the Jacobian has columns of nuisance parameters ({', '.join(jacobian.parameters)}): use "
+            "joint_information, which can marginalize them"
+        )
     noise.check(*jacobian.image.shape)
     camera = jacobian.to_frame("camera")
     accumulator = InformationAccumulator(

@@ -26,7 +26,7 @@ from scipy.sparse.linalg import eigsh, splu
 from .errors import FusionError
 from .identifiability import CONFIDENCE, SIGNIFICANT, SMALLEST_SHARE
 from .se3 import Array
-from .symmetric import TRIANGLE, congruence, pack, symmetrised, unpack
+from .symmetric import congruence, pack, symmetrised, triangle, unpack
 
 DENSE = 600
 """Matrices up to this size are decomposed whole."""
@@ -156,7 +156,7 @@ class JointState:
     def _norm_bound(self, vectors: Array) -> float:
         """An upper bound on the 99 % quantile of the largest eigenvalue of noise in a subspace (n, q)."""
         square = 0.0
-        i, j = TRIANGLE
+        i, j = triangle(6)
         for row, covariance in self._noise.items():
             P = vectors[row : row + 6] @ vectors[row : row + 6].T
             pairs = 0.5 * (P[np.ix_(i, i)] * P[np.ix_(j, j)] + P[np.ix_(i, j)] * P[np.ix_(j, i)])

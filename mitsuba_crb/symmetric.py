@@ -1,41 +1,56 @@
-"""Symmetric 6 x 6 matrices as vectors of 21 numbers, and the positive semi-definite part of an estimate.
+"""Symmetric P x P matrices as vectors of P (P + 1) / 2 numbers, and the positive part of an estimate.
 
-The covariance of a matrix's entries is a 21 x 21 matrix over the upper triangle, in the order of
-`numpy.triu_indices(6)`: (0,0), (0,1), .. (0,5), (1,1), .. (5,5).
+The covariance of a matrix's entries is a matrix over the upper triangle, in the order of
+`numpy.triu_indices(P)`. For a pose, P = 6, it is 21 x 21: (0,0), (0,1), .. (0,5), (1,1), .. (5,5).
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
+from math import isqrt
+
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .se3 import Array
-
-TRIANGLE = np.triu_indices(6)
-"""Rows and columns of the 21 entries."""
 
 # Directions in which a metric is below this fraction of its own diagonal are rounding.
 _RANK_TOLERANCE = 1e-12
 
 
+@lru_cache
+def triangle(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of the entries of a symmetric matrix of this size."""
+    return np.triu_indices(size)
+
+
+def entries(size: int) -> int:
+    """P (P + 1) / 2, how many different entries a symmetric matrix of size P has."""
+    return size * (size + 1) // 2
+
+
 def pack(matrix: ArrayLike) -> Array:
-    """The upper triangles of symmetric matrices: (..., 6, 6) to (..., 21)."""
-    return np.asarray(matrix, dtype=np.float64)[..., TRIANGLE[0], TRIANGLE[1]]
+    """The upper triangles of symmetric matrices: (..., P, P) to (..., P (P + 1) / 2)."""
+    values = np.asarray(matrix, dtype=np.float64)
+    rows, columns = triangle(values.shape[-1])
+    return values[..., rows, columns]
 
 
 def unpack(vector: ArrayLike) -> Array:
-    """The symmetric matrices with these upper triangles: (..., 21) to (..., 6, 6)."""
+    """The symmetric matrices with these upper triangles: (..., P (P + 1) / 2) to (..., P, P)."""
     values = np.asarray(vector, dtype=np.float64)
-    matrix = np.empty((*values.shape[:-1], 6, 6))
-    matrix[..., TRIANGLE[0], TRIANGLE[1]] = values
-    matrix[..., TRIANGLE[1], TRIANGLE[0]] = values
+    size = (isqrt(8 * values.shape[-1] + 1) - 1) // 2
+    rows, columns = triangle(size)
+    matrix = np.empty((*values.shape[:-1], size, size))
+    matrix[..., rows, columns] = values
+    matrix[..., columns, rows] = values
     return matrix
 
 
 def congruence(A: ArrayLike) -> Array:
-    """The (21, 21) matrix T with `pack(Aᵀ F A) = T pack(F)` for every symmetric F."""
+    """The matrix T with `pack(Aᵀ F A) = T pack(F)` for every symmetric F (P, P) and A (P, Q)."""
     columns = np.asarray(A, dtype=np.float64)
-    return pack(columns.T @ unpack(np.eye(21)) @ columns).T
+    return pack(columns.T @ unpack(np.eye(entries(len(columns)))) @ columns).T
 
 
 def symmetrised(matrices: Array) -> Array:

@@ -1,7 +1,8 @@
 """The mean of J_kᵀ W J_l over pairs of independent batches, and its variance: a U-statistic of order two.
 
-With h_kl = sym(J_kᵀ W J_l) of one unit (a pixel, or a block of pixels) as 21 numbers, K batches and F̂ their
-mean over k < l, Hoeffding's decomposition h_kl = F + a_k + a_l + e_kl has uncorrelated terms, so that
+With h_kl = sym(J_kᵀ W J_l) of one unit (a pixel, or a block of pixels) as E = P (P+1)/2 numbers (21 for the
+P = 6 columns of a pose), K batches and F̂ their mean over k < l, Hoeffding's decomposition
+h_kl = F + a_k + a_l + e_kl has uncorrelated terms, so that
 
     Cov[F̂] = 4/K Cov[a] + 2/(K (K−1)) Cov[e].
 
@@ -28,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .se3 import Array
-from .symmetric import TRIANGLE, pack, positive_part, symmetrised
+from .symmetric import entries, pack, positive_part, symmetrised, triangle
 
 # Rows of one BLAS call. Larger products wake BLAS's threads, whose barrier costs milliseconds on a busy
 # machine, a hundred times the product itself.
@@ -38,13 +39,13 @@ _ROWS = 128
 class VarianceComponents:
     """Sums of squares over units, and the covariance of the sum of their F̂."""
 
-    def __init__(self, batches: int) -> None:
+    def __init__(self, batches: int, columns: int = 6) -> None:
         self._batches = batches
-        self._linear = np.zeros((21, 21))
-        self._degenerate = np.zeros((21, 21))
+        self._linear = np.zeros((entries(columns),) * 2)
+        self._degenerate = np.zeros((entries(columns),) * 2)
 
     def add(self, h: Array) -> Array:
-        """Add units with products h (pairs k < l, 21, units); returns their F̂ (21, units)."""
+        """Add units with products h (pairs k < l, E, units); returns their F̂ (E, units)."""
         K = self._batches
         mean: Array = h.mean(axis=0)
         d = h - mean
@@ -64,24 +65,24 @@ class VarianceComponents:
 
     @property
     def unbiased(self) -> Array:
-        """(21, 21), Cov of ΣF̂ without bias; possibly indefinite."""
+        """(E, E), Cov of ΣF̂ without bias; possibly indefinite."""
         linear, degenerate, _ = self._parts()
         return linear + degenerate
 
     @property
     def positive(self) -> Array:
-        """(21, 21), Cov of ΣF̂, positive semi-definite, and unbiased where there are many units."""
+        """(E, E), Cov of ΣF̂, positive semi-definite, and unbiased where there are many units."""
         linear, degenerate, metric = self._parts()
         return positive_part(linear, metric) + degenerate
 
     @property
     def metric(self) -> Array:
-        """(21, 21), positive semi-definite, of the covariance's order of magnitude."""
+        """(E, E), positive semi-definite, of the covariance's order of magnitude."""
         return self._parts()[2]
 
 
 def whiten(values: Array, root: Array, index: NDArray[np.intp]) -> Array:
-    """√w J_k of some pixels, (m, C, K, 6), from (K, n, C, 6) and √w (n, C)."""
+    """√w J_k of some pixels, (m, C, K, P), from (K, n, C, P) and √w (n, C)."""
     return np.multiply(values[:, index].transpose(1, 2, 0, 3), root[index][:, :, None, None], order="C")
 
 
@@ -94,22 +95,25 @@ def gram(rows: Array) -> Array:
 
 
 def block_products(blocks: Iterable[Array]) -> Array:
-    """h_kl of every block, (pairs k < l, 21, B), from each block's whitened (m, C, K, 6)."""
-    grams = np.stack([gram(block.reshape(-1, block.shape[2] * 6)) for block in blocks])
-    K = grams.shape[1] // 6
-    products = grams.reshape(-1, K, 6, K, 6)
+    """h_kl of every block, (pairs k < l, E, B), from each block's whitened (m, C, K, P)."""
+    grams = []
+    for block in blocks:
+        K, P = block.shape[2:]
+        grams.append(gram(block.reshape(-1, K * P)))
+    products = np.stack(grams).reshape(-1, K, P, K, P)
     pairs = combinations(range(K), 2)
     return np.stack([pack(symmetrised(products[:, k, :, j, :])).T for k, j in pairs])
 
 
 def pixel_products(whitened: Array) -> Array:
-    """h_kl of every pixel, (pairs k < l, 21, m), from (m, C, K, 6)."""
+    """h_kl of every pixel, (pairs k < l, E, m), from (m, C, K, P)."""
     # Pixels run last, for long inner loops.
     columns = np.ascontiguousarray(whitened.transpose(1, 2, 3, 0))
     pairs = list(combinations(range(columns.shape[1]), 2))
-    h = np.empty((len(pairs), 21, len(whitened)))
+    rows = list(zip(*triangle(columns.shape[2]), strict=True))
+    h = np.empty((len(pairs), len(rows), len(whitened)))
     for p, (k, j) in enumerate(pairs):
-        for q, (a, b) in enumerate(zip(*TRIANGLE, strict=True)):
+        for q, (a, b) in enumerate(rows):
             h[p, q] = 0.5 * (
                 np.einsum("cm,cm->m", columns[:, k, a], columns[:, j, b])
                 + np.einsum("cm,cm->m", columns[:, k, b], columns[:, j, a])
