@@ -10,16 +10,23 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from . import errors as errors
+    from . import message as message
     from . import noise as noise
     from . import se3 as se3
     from .bound import PoseBound as PoseBound
     from .bound import cramer_rao_bound as cramer_rao_bound
+    from .fusion import Agent as Agent
+    from .fusion import fuse as fuse
     from .information import FisherInformation as FisherInformation
     from .information import ImageJacobian as ImageJacobian
     from .information import fisher_information as fisher_information
+    from .information_filter import InformationFilter as InformationFilter
     from .measure import pose_bound as pose_bound
     from .measure import pose_jacobian as pose_jacobian
+    from .measure_tiles import tile_information as tile_information
     from .scene import load_scene as load_scene
+    from .selection import select_tiles as select_tiles
+    from .tiles import Budget as Budget
     from .validation import check_jacobian as check_jacobian
 
 __version__ = "0.1.0"
@@ -27,15 +34,21 @@ __version__ = "0.1.0"
 _HOME = {
     "PoseBound": "bound",
     "cramer_rao_bound": "bound",
+    "Agent": "fusion",
+    "fuse": "fusion",
     "FisherInformation": "information",
     "ImageJacobian": "information",
     "fisher_information": "information",
     "pose_bound": "measure",
     "pose_jacobian": "measure",
+    "InformationFilter": "information_filter",
+    "tile_information": "measure_tiles",
     "load_scene": "scene",
+    "select_tiles": "selection",
+    "Budget": "tiles",
     "check_jacobian": "validation",
 }
-_MODULES = ("errors", "noise", "se3")
+_MODULES = ("errors", "message", "noise", "se3")
 
 __all__ = [*_HOME, *_MODULES, "__version__"]
 

@@ -147,7 +147,10 @@ def fuse(agents: Sequence[Agent], *, variable: str = "body", shared: SharedNuisa
     ordered = sorted(agents, key=lambda agent: agent.name)
     world_from_common = se3.as_pose(ordered[0].world_from_common)
     for agent in ordered:
-        _check_place(agent, ordered[0].name, world_from_common)
+        reach = float(max(np.abs(agent.information.pose).max(), np.abs(agent.common_from_agent).max()))
+        refuse_two_places(
+            agent.name, agent.world_from_common, ordered[0].name, world_from_common, reach=reach
+        )
         refuse_negative(agent.information, agent.name)
     common = {a.name: to_common(a, variable=variable, world_from_common=world_from_common) for a in ordered}
     joint = reduce(add, common.values())
@@ -198,15 +201,27 @@ def _check_names(agents: Sequence[Agent]) -> None:
         raise FusionError(f"agent names must differ, but {', '.join(map(repr, twice))} occurs twice")
 
 
-def _check_place(agent: Agent, first: str, world_from_common: Array) -> None:
-    difference = se3.inverse(world_from_common) @ agent.world_from_common
+def refuse_two_places(
+    name: str, world_from_common: Array, first: str, expected: Array, *, reach: float = 1.0
+) -> None:
+    """Refuse an agent whose pose and transform put the body elsewhere than another agent's.
+
+    Args:
+        name: the agent.
+        world_from_common: (4, 4), where it puts the body.
+        first: the other agent.
+        expected: (4, 4), where that one puts it.
+        reach: a distance that entered the computation, which float32 rounds [scene unit].
+
+    Raises:
+        FrameError: the two differ by more than rounding.
+    """
+    difference = se3.inverse(expected) @ world_from_common
     distance = float(np.linalg.norm(difference[:3, 3]))
     angle = float(np.linalg.norm(difference[:3, :3] - np.eye(3))) / np.sqrt(2.0)
-    reach = float(
-        max(1.0, np.abs(agent.information.pose[:3, 3]).max(), np.abs(agent.common_from_agent).max())
-    )
+    reach = max(1.0, reach, float(np.abs(world_from_common).max()))
     if distance > _POSE_TOLERANCE * reach or angle > _POSE_TOLERANCE:
         raise FrameError(
-            f"the pose and the transform of agent {agent.name!r} put the body {distance:.3g} scene units and "
+            f"the pose and the transform of agent {name!r} put the body {distance:.3g} scene units and "
             f"{np.degrees(angle):.3g} degrees from where those of {first!r} put it; is a transform inverted?"
         )

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from . import se3
 from .errors import FrameError, SelectionError
+from .fusion import refuse_two_places
 from .se3 import Array
 from .symmetric import symmetrised
 
@@ -213,6 +214,34 @@ class Problem:
         return replace(kept, limits=Limits(agent_tiles, agent_bytes, tiles, total))
 
 
+def together(agents: Sequence[TileInformation]) -> list[TileInformation]:
+    """The same tiles in one unit, the largest length scale, and about exactly one pose, the first by name.
+
+    Raises:
+        FrameError: the agents put the body in different places.
+    """
+    if not agents:
+        return []
+    first = min(agents, key=lambda agent: agent.agent)
+    length = max(agent.length_scale for agent in agents)
+    common = []
+    for agent in agents:
+        refuse_two_places(agent.agent, agent.pose, first.agent, first.pose)
+        d = np.repeat([length / agent.length_scale, 1.0], 3)
+        scaled = {name: d[:, None] * getattr(agent, name) * d for name in ("select", "report")}
+        common.append(replace(agent, pose=first.pose, length_scale=length, **scaled))
+    return common
+
+
+def correlated_refusal(agents: Sequence[str]) -> str:
+    """Why tiles of agents with such noise are refused."""
+    return (
+        f"the noise of {', '.join(map(repr, agents))} is correlated between pixels: Σ⁻¹ couples tiles, so "
+        "their information does not add and no sum over tiles is what a receiver would know; select with a "
+        "noise model of independent pixels"
+    )
+
+
 def check_agents(agents: Sequence[TileInformation]) -> None:
     """Refuse agents whose tiles cannot be added.
 
@@ -228,11 +257,7 @@ def check_agents(agents: Sequence[TileInformation]) -> None:
         raise SelectionError(f"agent names must differ, but {', '.join(map(repr, twice))} occurs twice")
     correlated = [agent.agent for agent in agents if agent.correlated_noise]
     if correlated:
-        raise SelectionError(
-            f"the noise of {', '.join(map(repr, correlated))} is correlated between pixels: Σ⁻¹ couples "
-            "tiles, so their information does not add and no sum over tiles is what a receiver would know; "
-            "select with a noise model of independent pixels"
-        )
+        raise SelectionError(correlated_refusal(correlated))
     first = agents[0]
     tolerance = 1e-9 * max(1.0, float(np.abs(first.pose[:3, 3]).max()))
     for other in agents[1:]:

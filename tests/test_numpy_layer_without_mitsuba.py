@@ -21,6 +21,9 @@ import numpy as np
 import mitsuba_crb
 from mitsuba_crb import bound, errors, identifiability, information, inverse
 from mitsuba_crb import noise, se3, symmetric, ustatistic
+from mitsuba_crb import covariance_intersection, entry_noise, fusion, information_filter, joint_state, message
+from mitsuba_crb import message_layout, pose_graph, quantisation, shared_nuisance, significance
+from mitsuba_crb import criteria, greedy, relaxation, selection, tile_grid, tiles
 
 J = np.random.default_rng(0).normal(size=(4, 64, 3, 6))
 J[:] = J[0]
@@ -32,6 +35,10 @@ jacobian = mitsuba_crb.ImageJacobian(
 fisher_information = mitsuba_crb.fisher_information(jacobian, mitsuba_crb.noise.Gaussian(0.1))
 result = mitsuba_crb.cramer_rao_bound(fisher_information)
 assert result.rank == 6, result
+agent = mitsuba_crb.Agent("one", fisher_information, np.eye(4))
+assert mitsuba_crb.fuse([agent]).bound.rank == 6
+received = message.decode(message.encode(fisher_information, agent="one", sequence=0))
+assert received.kept > 0.99
 assert not {"mitsuba", "drjit"} & {name.partition(".")[0] for name in sys.modules}
 """
 
