@@ -71,6 +71,10 @@ class FusionError(MitsubaCRBError):
     """Agents, relative poses or shared nuisances cannot be combined: a name or a matrix is at fault."""
 
 
+class PointsError(MitsubaCRBError):
+    """Points or their pixel noise cannot be used: too few, behind the camera, or no positive sigma."""
+
+
 class MessageError(MitsubaCRBError):
     """A message is corrupt, does not fit its layout, or refers to another base."""
 

@@ -4,9 +4,10 @@ With every pose's twist in its own camera frame, a measurement of a_from_b with 
 
     ε = ξ_b − Ad(b_from_a) ξ_a,    and adds    Hᵀ Ω H,    H = [−Ad(b_from_a), 1].
 
-Images add blocks on the diagonal, a shared nuisance (`shared_nuisance`) rows and columns of its own, which
-couple all poses that depend on it. From the joint matrix follow, each as a `FisherInformation` with its
-uncertainty, so that `cramer_rao_bound` turns them into covariances with infinities where they belong:
+Images add blocks on the diagonal, points that several cameras see (`bundle`) also blocks between poses, and
+a shared nuisance (`shared_nuisance`) rows and columns of its own, which couple all that depend on it. From
+the joint matrix follow, each as a `FisherInformation` with its uncertainty, so that `cramer_rao_bound` turns
+them into covariances with infinities where they belong:
 
 - the marginal of a pose, the others unknown;
 - the conditional of a pose, others known exactly;
@@ -65,6 +66,22 @@ class RelativePose:
             raise FusionError(f"a relative pose ties two variables, not {self.a!r} to itself")
 
 
+@dataclass(frozen=True, eq=False)
+class JointInformation:
+    """What one measurement tells of several poses together, such as points that they all see."""
+
+    variables: tuple[str, ...]
+    """The poses, each once."""
+    matrix: Array
+    """(6A, 6A), twists in each pose's own camera frame, in the order of `variables`: exact."""
+
+    def __post_init__(self) -> None:
+        if len(set(self.variables)) < len(self.variables) or not self.variables:
+            raise FusionError(f"a joint information needs different variables, not {list(self.variables)}")
+        what = f"the joint information of {', '.join(self.variables[:_NAMES])}"
+        object.__setattr__(self, "matrix", positive_semi_definite(self.matrix, 6 * len(self.variables), what))
+
+
 @dataclass(frozen=True)
 class Gauge:
     """What is free in a connected part of the graph."""
@@ -94,6 +111,7 @@ class PoseGraph:
         relative: Sequence[RelativePose] = (),
         *,
         shared: SharedNuisance | None = None,
+        joint: Sequence[JointInformation] = (),
     ) -> None:
         """Collect what is known; nothing is decided before it is asked for.
 
@@ -101,6 +119,7 @@ class PoseGraph:
             poses: one information per variable, in either frame; `no_information` for a pose that has none.
             relative: any number, also several between the same two poses.
             shared: coupled with the poses by their variables.
+            joint: measurements of several poses at once, independent of one another and of the rest.
 
         Raises:
             FusionError: no poses, two of one variable, unknown variables, or negative information.
@@ -115,10 +134,13 @@ class PoseGraph:
         for name, pose in self._poses.items():
             refuse_negative(pose, name)
         self._relative = tuple(relative)
+        self._joint = tuple(joint)
         self._shared = shared
         self._fixed: frozenset[str] = frozenset()
         for link in self._relative:
             self._known(link.a, link.b)
+        for tie in self._joint:
+            self._known(*tie.variables)
         self._known(*(shared.cross if shared else ()))
 
     @property
@@ -137,6 +159,11 @@ class PoseGraph:
             H = -self._adjoint(link.a, link.b)
             cross = H.T @ link.information
             blocks += [(a, a, cross @ H), (a, b, cross), (b, a, cross.T), (b, b, link.information)]
+        for tie in self._joint:
+            count = len(tie.variables)
+            split = tie.matrix.reshape(count, 6, count, 6)
+            ends = [(i, place[name]) for i, name in enumerate(tie.variables)]
+            blocks += [(a, b, split[i, :, j]) for i, a in ends for j, b in ends]
         if self._shared is not None:
             end = 6 * len(self._poses)
             blocks.append((end, end, self._shared.total))
