@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from . import se3 as se3
     from .bound import PoseBound as PoseBound
     from .bound import cramer_rao_bound as cramer_rao_bound
+    from .coordinates import to_coordinates as to_coordinates
     from .fusion import Agent as Agent
     from .fusion import fuse as fuse
     from .information import FisherInformation as FisherInformation
@@ -36,6 +37,7 @@ _HOME = {
     "cramer_rao_bound": "bound",
     "Agent": "fusion",
     "fuse": "fusion",
+    "to_coordinates": "coordinates",
     "FisherInformation": "information",
     "ImageJacobian": "information",
     "fisher_information": "information",

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import se3
+from .criteria import LAMBDA_MIN, KieferMean, LogDet
 from .errors import OptionError, PrecisionWarning
-from .identifiability import UnobservedDirection, readable_basis
+from .identifiability import PoseDirection, readable_basis, weakest_direction
 from .information import FisherInformation
 from .inverse import Inverse
 from .se3 import Array, Frame
@@ -32,6 +33,26 @@ LARGEST_NOISE_FLOOR = 1e-3
 
 _POSITION_NAMES = ("x", "y", "z")
 _ROTATION_NAMES = ("pitch", "yaw", "roll")
+
+
+# Rows are linear functionals of the scaled camera-frame twist.
+_TURN = np.degrees(np.hstack([np.zeros((3, 3)), np.eye(3)]))
+
+
+@dataclass(frozen=True)
+class Optimality:
+    """Scalars of the information F in the camera frame, translation in units of the length scale.
+
+    The larger log det F and λ_min, and the smaller tr F⁻¹, the better; Pukelsheim, "Optimal Design of
+    Experiments", 2006, section 6.
+    """
+
+    log_det: float
+    """D-optimality, log det F; minus infinity where a direction is unseen."""
+    trace_inverse: float
+    """A-optimality, tr F⁻¹ [rad² or length scale²]; infinite where a direction is unseen."""
+    smallest_eigenvalue: float
+    """E-optimality, λ_min; zero where a direction is unseen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +71,7 @@ class PoseBound:
     """(3,), its Monte Carlo standard error [deg]; `nan` where the bound is infinite."""
     rank: int
     """Number of directions that are seen, by the image or the prior."""
-    unobserved: tuple[UnobservedDirection, ...]
+    unobserved: tuple[PoseDirection, ...]
     """The other 6 − rank directions: an orthonormal basis of what is unseen, in the camera frame."""
     eigenvalues: Array
     """(6,), descending, of the information in the camera frame with translation in length scales."""
@@ -70,9 +91,24 @@ class PoseBound:
     """(3, 3), about the camera's axes [deg²], with `inf` and `nan` as in `covariance`."""
     seen_covariance: Array
     """(6, 6) in `frame`: the pseudo-inverse on the seen subspace. It says nothing about what is unseen."""
+    weakest: PoseDirection | None
+    """The direction that the image itself, without the prior, sees worst but does see; None at rank 0."""
+    inverse: Inverse = field(repr=False)
+    """Gives the variance of any linear functional of the pose; `to_coordinates` uses it."""
     provenance: dict[str, Any] = field(default_factory=dict)
     """How the information was computed, JSON-able."""
-    _ellipsoids: dict[str, tuple[Array, Array]] = field(default_factory=dict, repr=False)
+
+    @property
+    def optimality(self) -> Optimality:
+        """The classical scalars of the information, the prior included."""
+        if self.unobserved:
+            return Optimality(-np.inf, np.inf, 0.0)
+        F = self.inverse.precision
+        return Optimality(
+            log_det=float(LogDet().value(F)),
+            trace_inverse=float(6.0 / KieferMean(1.0).value(F)),
+            smallest_eigenvalue=float(LAMBDA_MIN.value(F)),
+        )
 
     def ellipsoid(self, which: Literal["position", "rotation"], sigma: float = 1.0) -> tuple[Array, Array]:
         """The uncertainty ellipsoid of position [scene unit, world axes] or rotation [deg, camera axes].
@@ -87,10 +123,11 @@ class PoseBound:
         Raises:
             OptionError: `which` is neither.
         """
-        if which not in self._ellipsoids:
+        if which not in ("position", "rotation"):
             raise OptionError(f"there is no ellipsoid {which!r}; expected 'position' or 'rotation'")
-        semi_axes, directions = self._ellipsoids[which]
-        return sigma * semi_axes, directions.copy()
+        functionals = _position(self.inverse) if which == "position" else _TURN
+        semi_axes, directions = self.inverse.ellipsoid(functionals)
+        return sigma * semi_axes, directions
 
     def to_dict(self) -> dict[str, Any]:
         """The bound as JSON-able values: infinities as the string "inf", not-a-number as None."""
@@ -105,20 +142,26 @@ class PoseBound:
                 "unobserved.direction": "camera frame, translation in units of length_scale",
             },
             "length_scale": self.length_scale,
-            "information": _jsonable(self.information.matrix),
-            "information_standard_error": _jsonable(self.information.standard_error),
-            "covariance": _jsonable(self.covariance),
-            "position_std": _jsonable(self.position_std),
-            "position_std_standard_error": _jsonable(self.position_std_standard_error),
-            "rotation_std_deg": _jsonable(self.rotation_std_deg),
-            "rotation_std_deg_standard_error": _jsonable(self.rotation_std_deg_standard_error),
-            "eigenvalues": _jsonable(self.eigenvalues),
-            "eigenvalues_standard_error": _jsonable(self.eigenvalues_standard_error),
+            "information": jsonable(self.information.matrix),
+            "information_standard_error": jsonable(self.information.standard_error),
+            "covariance": jsonable(self.covariance),
+            "position_std": jsonable(self.position_std),
+            "position_std_standard_error": jsonable(self.position_std_standard_error),
+            "rotation_std_deg": jsonable(self.rotation_std_deg),
+            "rotation_std_deg_standard_error": jsonable(self.rotation_std_deg_standard_error),
+            "eigenvalues": jsonable(self.eigenvalues),
+            "eigenvalues_standard_error": jsonable(self.eigenvalues_standard_error),
             "noise_floor": self.noise_floor,
             "rank": self.rank,
             "unobserved": [
-                {"direction": _jsonable(u.direction), "description": u.description} for u in self.unobserved
+                {"direction": jsonable(u.direction), "description": u.description} for u in self.unobserved
             ],
+            "weakest": self.weakest
+            and {
+                "direction": jsonable(self.weakest.direction),
+                "description": self.weakest.description,
+            },
+            "optimality": {k: jsonable(v) for k, v in vars(self.optimality).items()},
         }
 
     def __str__(self) -> str:
@@ -163,11 +206,7 @@ def cramer_rao_bound(
         van Trees, "Detection, Estimation, and Modulation Theory", part I, 1968, sections 2.4.2 and 2.4.3.
     """
     inverse = Inverse(information, prior)
-    rotation = inverse.total.pose[:3, :3]
-    zero = np.zeros((3, 3))
-    # Rows are linear functionals of the scaled camera-frame twist; the camera centre moves by R ρ.
-    position = np.hstack([inverse.length_scale * rotation, zero])
-    turn = np.degrees(np.hstack([zero, np.eye(3)]))
+    position, turn = _position(inverse), _TURN
     twist = np.diag(inverse.scale)
     if information.frame == "world":
         twist = se3.adjoint(inverse.total.pose) @ twist
@@ -195,10 +234,16 @@ def cramer_rao_bound(
         position_covariance=position_covariance,
         rotation_covariance_deg2=rotation_covariance,
         seen_covariance=inverse.seen_covariance(twist),
-        _ellipsoids={"position": inverse.ellipsoid(position), "rotation": inverse.ellipsoid(turn)},
+        weakest=weakest_direction(inverse.identifiability, inverse.total.pose, inverse.length_scale),
+        inverse=inverse,
     )
     _warn_of_imprecision(bound)
     return bound
+
+
+def _position(inverse: Inverse) -> Array:
+    """(3, 6), world axes: the camera centre moves by R ρ."""
+    return np.hstack([inverse.length_scale * inverse.total.pose[:3, :3], np.zeros((3, 3))])
 
 
 def _warn_of_imprecision(bound: PoseBound) -> None:
@@ -232,12 +277,12 @@ def _with_errors(names: tuple[str, ...], values: Array, errors: Array) -> str:
     return ", ".join(parts)
 
 
-def _jsonable(array: Array) -> Any:
-    def entry(value: float) -> float | str | None:
+def jsonable(array: ArrayLike) -> Any:
+    """Nested lists: infinities as the string "inf", not-a-number as None."""
+    array = np.asarray(array)
+    if array.ndim == 0:
+        value = float(array)
         if math.isnan(value):
             return None
         return value if math.isfinite(value) else ("inf" if value > 0.0 else "-inf")
-
-    if array.ndim == 1:
-        return [entry(float(value)) for value in array]
-    return [_jsonable(row) for row in array]
+    return [jsonable(entry) for entry in array]

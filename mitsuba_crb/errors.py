@@ -55,6 +55,10 @@ class RadianceError(MitsubaCRBError):
     """The renderer returned radiance that is not finite."""
 
 
+class CoordinatesError(MitsubaCRBError):
+    """Coordinates of a pose do not exist, or are singular at this pose."""
+
+
 class FrameError(MitsubaCRBError):
     """Matrices of different variables, frames or linearisation poses were mixed."""
 

@@ -64,6 +64,8 @@ _BOUND_KEYS = (
     "eigenvalues_standard_error",
     "rank",
     "unobserved",
+    "weakest",
+    "optimality",
 )
 
 

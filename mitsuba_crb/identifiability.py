@@ -36,6 +36,8 @@ SIGNIFICANT = 3.0
 """Standard errors that make a share of the unseen subspace significant."""
 
 _LARGEST_NAMING_TILT = 0.2
+# A seen direction is no axis exactly; this part of it may be left out of its description.
+_READABLE_TILT = 0.05
 _DRAWS = 4096
 _WORLD_AXES = ("world axis x", "world axis y", "world axis z")
 _CAMERA_AXES = ("the camera's x axis", "the camera's y axis", "the optical axis")
@@ -43,8 +45,8 @@ _TURNS = (" (pitch)", " (yaw)", " (roll)")
 
 
 @dataclass(frozen=True, eq=False)
-class UnobservedDirection:
-    """A direction of the pose that the image does not see."""
+class PoseDirection:
+    """A direction of the pose, in numbers and in words."""
 
     direction: Array
     """(6,), unit twist in the camera frame, translation in units of the length scale."""
@@ -133,7 +135,7 @@ def identify(matrix: Array, covariance_of_entries: Array) -> Identifiability:
 
 def readable_basis(
     identifiability: Identifiability, unseen: Array, world_from_camera: Array, length_scale: float
-) -> tuple[UnobservedDirection, ...]:
+) -> tuple[PoseDirection, ...]:
     """An orthonormal basis of the unseen subspace that follows named axes where it can, with descriptions.
 
     Args:
@@ -147,7 +149,7 @@ def readable_basis(
     all_translations = unseen.shape[1] < 6 and all(
         _contains(unseen, axis, identifiability) for axis, _ in axes[:3]
     )
-    rest, found = unseen, list[UnobservedDirection]()
+    rest, found = unseen, list[PoseDirection]()
     for k, (axis, name) in enumerate(axes):
         if _contains(rest, axis, identifiability):
             direction = rest @ (rest.T @ axis)
@@ -156,13 +158,23 @@ def readable_basis(
             description = (
                 name.replace("along", "in any direction: along") if all_translations and k < 3 else name
             )
-            found.append(UnobservedDirection(direction, description))
+            found.append(PoseDirection(direction, description))
     # Translations among what is left come first: the smallest singular values of the rotation part.
     rest = rest @ np.linalg.svd(rest[3:])[2].T[:, ::-1]
     for direction in rest.T:
         tolerance = identifiability.naming_tolerance(direction)
         found.append(_described(direction, rotation, length_scale, tolerance))
     return tuple(found)
+
+
+def weakest_direction(
+    identifiability: Identifiability, world_from_camera: Array, length_scale: float
+) -> PoseDirection | None:
+    """The seen direction of the smallest eigenvalue, in words; None if nothing is seen."""
+    if identifiability.rank == 0:
+        return None
+    direction = identifiability.seen[:, -1]
+    return _described(direction, world_from_camera[:3, :3], length_scale, _READABLE_TILT)
 
 
 def _contains(subspace: Array, axis: Array, identifiability: Identifiability) -> bool:
@@ -183,24 +195,20 @@ def _named_axes(rotation: Array) -> list[tuple[Array, str]]:
     return list(zip([*translations, *rotations], names, strict=True))
 
 
-def _described(
-    direction: Array, rotation: Array, length_scale: float, tolerance: float
-) -> UnobservedDirection:
+def _described(direction: Array, rotation: Array, length_scale: float, tolerance: float) -> PoseDirection:
     """Words for a direction that is no named axis: a translation, a rotation, or both at once."""
     rho, phi = direction[:3], direction[3:]
     if np.linalg.norm(phi) <= tolerance:
         direction = direction * _sign(rotation @ rho)
-        return UnobservedDirection(direction, _translation(direction[:3], rotation, tolerance))
+        return PoseDirection(direction, _translation(direction[:3], rotation, tolerance))
     direction = direction * _sign(phi)
     rho, phi = direction[:3], direction[3:]
     turn = _turn(phi, rotation, tolerance)
     if np.linalg.norm(rho) <= tolerance:
-        return UnobservedDirection(direction, turn)
+        return PoseDirection(direction, turn)
     rate = length_scale * float(np.linalg.norm(rho) / np.degrees(np.linalg.norm(phi)))
     shift = _translation(rho, rotation, tolerance)
-    return UnobservedDirection(
-        direction, f"a {turn} together with a {shift}, {rate:.3g} scene units per degree"
-    )
+    return PoseDirection(direction, f"a {turn} together with a {shift}, {rate:.3g} scene units per degree")
 
 
 def _translation(rho: Array, rotation: Array, tolerance: float) -> str:

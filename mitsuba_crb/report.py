@@ -69,6 +69,16 @@ def _bound_facts(bound: PoseBound) -> list[tuple[str, str]]:
     facts = bound.provenance
     rows = [("rank", f"{bound.rank} of 6")]
     rows += [("unseen", direction.description) for direction in bound.unobserved]
+    if bound.weakest is not None:
+        rows.append(("weakest seen", bound.weakest.description))
+    scalars = bound.optimality
+    rows.append(
+        (
+            "optimality",
+            f"D: ln det F = {scalars.log_det:.4g}, A: tr F⁻¹ = {scalars.trace_inverse:.3g}, "
+            f"E: λ_min = {scalars.smallest_eigenvalue:.3g}, with translation in length scales",
+        )
+    )
     rows.append(("length scale", _length_scale(bound.length_scale)))
     rows.append(("noise", _noise(facts["noise"])))
     inflation = facts.get("noise_inflation")

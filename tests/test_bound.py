@@ -661,6 +661,8 @@ class TestOutput:
             "noise_floor",
             "rank",
             "unobserved",
+            "weakest",
+            "optimality",
         ]
         assert written["rotation_std_deg"][2] == "inf"
         assert written["rotation_std_deg_standard_error"][2] is None
@@ -675,3 +677,30 @@ class TestOutput:
         filled = dataclasses.replace(bound, provenance={"scene": "room.xml"})
         assert filled.provenance == {"scene": "room.xml"}
         np.testing.assert_array_equal(filled.ellipsoid("position")[0], bound.ellipsoid("position")[0])
+
+
+class TestScalars:
+    def test_optimality_is_dense_linear_algebra_in_scaled_units(self):
+        F, L = _random(31), 7.0
+        S = np.diag([L] * 3 + [1.0] * 3)
+        for frame in ("camera", "world"):
+            found = cramer_rao_bound(_information(F, length_scale=L).to_frame(frame)).optimality
+            np.testing.assert_allclose(found.log_det, np.linalg.slogdet(S @ F @ S)[1])
+            np.testing.assert_allclose(found.trace_inverse, np.trace(np.linalg.inv(S @ F @ S)))
+            np.testing.assert_allclose(found.smallest_eigenvalue, np.linalg.eigvalsh(S @ F @ S)[0])
+
+    def test_an_unseen_direction_is_worth_nothing_until_a_prior_sees_it(self):
+        information = _information(_without([0, 0, 0, 0, 0, 1]))
+        found = cramer_rao_bound(information).optimality
+        assert (found.log_det, found.trace_inverse, found.smallest_eigenvalue) == (-np.inf, np.inf, 0.0)
+        prior = np.diag([0.0, 0, 0, 0, 0, 25.0])
+        assert cramer_rao_bound(information, prior=prior).optimality.smallest_eigenvalue == pytest.approx(
+            25.0
+        )
+
+    def test_the_weakest_seen_direction_is_named(self):
+        F = np.diag([1e4, 1e4, 1e4, 1e4, 1e2, 0.0])
+        weakest = cramer_rao_bound(_information(F)).weakest
+        assert weakest.description == "rotation about the camera's y axis (yaw)"
+        np.testing.assert_allclose(np.abs(weakest.direction), np.eye(6)[4], atol=1e-12)
+        assert cramer_rao_bound(_information(np.zeros((6, 6)))).weakest is None
