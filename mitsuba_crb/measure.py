@@ -195,7 +195,7 @@ class Measurement:
     def provenance(self) -> dict[str, Any]:
         """How the numbers were made, JSON-able."""
         integrator = self.view.integrator
-        python = type(integrator).__module__.startswith("mitsuba.python")
+        python = type(integrator).__module__ != "mitsuba"
         return {
             "scene": self.view.label,
             "sensor": self.view.variable,

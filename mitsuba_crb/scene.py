@@ -35,6 +35,7 @@ _NO_RADIANCE = {
     "MomentIntegrator": "moment",
     "DepthIntegrator": "depth",
     "StokesIntegrator": "stokes",
+    "ParticleTracerIntegrator": "ptracer",
 }
 
 
@@ -203,6 +204,14 @@ def open_view(
 
 
 def _as_scene(scene: Any) -> tuple[mi.Scene, str]:
+    loaded, label = _loaded(scene)
+    for shape in loaded.shapes():
+        if shape.is_mesh() and not shape.face_count():
+            raise SceneError(f"mesh {shape.id()} has no faces, which Mitsuba cannot trace; remove it")
+    return loaded, label
+
+
+def _loaded(scene: Any) -> tuple[mi.Scene, str]:
     import mitsuba as mi
 
     if isinstance(scene, mi.Scene):
@@ -297,6 +306,8 @@ def _matrix(transform: Any) -> NDArray[np.float64]:
 
 def _rigid(matrix: NDArray[np.float64], name: str) -> NDArray[np.float64]:
     """The nearest rigid motion to a float32 one; a scale or reflection is an error."""
+    if not np.isfinite(matrix).all():
+        raise PoseError(f"{name} holds NaN or infinity; give it a rigid motion")
     u, singular, vt = np.linalg.svd(matrix[:3, :3])
     if np.linalg.det(matrix[:3, :3]) < 0:
         raise PoseError(f"{name} is a reflection (determinant < 0); remove the negative scale")

@@ -7,6 +7,8 @@ Second oracle: finite differences of a scene whose information is in its silhoue
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
@@ -163,6 +165,16 @@ class White(mi.SamplingIntegrator):
         return "White"
 
 
+def mesh(vertices: np.ndarray, faces: np.ndarray) -> mi.Mesh:
+    """A mesh from arrays, nothing checked and nothing computed."""
+    made = mi.Mesh("mesh", len(vertices), len(faces))
+    params = mi.traverse(made)
+    params["vertex_positions"] = np.ravel(vertices).astype(np.float32)
+    params["faces"] = np.ravel(faces).astype(np.uint32)
+    params.update()
+    return made
+
+
 def glow(*color: float) -> dict[str, Any]:
     """An emission of equal radiance in all directions."""
     return {"type": "area", "radiance": {"type": "rgb", "value": list(color)}}
@@ -283,6 +295,30 @@ def test_filter_and_parallax_term_of_constant_radiance_cancel(name: str) -> None
     assert np.all(np.abs(factor - 1.0) < np.maximum(0.01, 4.0 * error))
 
 
+def test_a_floor_seen_at_a_grazing_angle_has_no_clamping_bias() -> None:
+    """Camera 1/30 of its distance above a floor, where ∇·f is 30 times what it is from the front."""
+    level = T().translate([0, -0.3, 0]).rotate([1, 0, 0], -90).scale(0.8)
+    sensor = {"to_world": T().look_at([0.1, -0.2, -3.4], [0, -0.2, 0], [0, 1, 0.1])}
+    factor, error = closure(scene(sensor=sensor, floor={"type": "rectangle", "to_world": level}), spp=2048)
+    assert np.all(error < 0.02)
+    assert np.all(np.abs(factor - 1.0) < np.maximum(0.01, 4.0 * error))
+
+
+@pytest.mark.parametrize("kind", ["split vertices", "wound both ways", "open"])
+def test_meshes_need_no_shared_vertices_winding_or_closedness(kind: str) -> None:
+    vertices, faces = cube()
+    vertices = vertices @ np.array(TILT.matrix, dtype=np.float32)[:3, :3].T * np.float32(0.6)
+    if kind == "split vertices":
+        vertices, faces = vertices[faces].reshape(-1, 3), np.arange(36).reshape(-1, 3)
+    elif kind == "wound both ways":
+        faces[::3] = faces[::3, ::-1]
+    else:
+        faces = faces[:6]
+    factor, error = closure(scene(mesh=mesh(vertices, faces)))
+    assert np.all(error < 0.02)
+    assert np.all(np.abs(factor - 1.0) < np.maximum(0.01, 4.0 * error))
+
+
 def test_thin_lens_has_parallax_in_rotation() -> None:
     wide = THIN | {"aperture_radius": 0.4, "focus_distance": 2.0}
     factor, error = closure(scene(sensor=wide, box=box()), columns=6)
@@ -381,16 +417,41 @@ def test_edge_table_follows_the_geometry_not_the_scene_object() -> None:
     assert edge_table(mi.load_dict(scene(box=box(T())))) is not table
 
 
-def test_shapes_without_contours_are_named() -> None:
-    description = scene(
-        box=box(),  # whose contours are looked for among the instances
-        group={"type": "shapegroup", "ball": {"type": "sphere"}, "block": {"type": "cube"}},
-        first={"type": "instance", "group": {"type": "ref", "id": "group"}},
-        second={"type": "instance", "group": {"type": "ref", "id": "group"}},
-    )
+UNKNOWN: dict[str, dict[str, Any]] = {
+    "2 x Instance": {
+        "group": {"type": "shapegroup", "ball": {"type": "sphere"}, "block": {"type": "cube"}},
+        "first": {"type": "instance", "group": {"type": "ref", "id": "group"}},
+        "second": {"type": "instance", "group": {"type": "ref", "id": "group"}},
+    },
+    "1 x LinearCurve": {"curve": {"type": "linearcurve"}},
+    "1 x BSplineCurve": {"curve": {"type": "bsplinecurve"}},
+    "1 x SDFGrid": {
+        "field": {"type": "sdfgrid", "grid": mi.TensorXf(np.linspace(-1, 1, 8).reshape(2, 2, 2, 1))}
+    },
+    "1 x Ellipsoids": {
+        "blobs": {
+            "type": "ellipsoids",
+            "centers": mi.TensorXf(np.zeros((1, 3))),
+            "scales": mi.TensorXf(np.full((1, 3), 0.2)),
+            "quaternions": mi.TensorXf(np.array([[0.0, 0.0, 0.0, 1.0]])),
+        }
+    },
+    "1 x Sphere (scaled unevenly)": {"ball": {"type": "sphere", "to_world": T().scale([0.3, 0.6, 0.3])}},
+    "1 x Cylinder (scaled unevenly)": {"tube": {"type": "cylinder", "to_world": T().scale([0.3, 0.6, 1.0])}},
+}
+
+
+@pytest.mark.parametrize("name", UNKNOWN)
+def test_shapes_without_contours_are_named(name: str, tmp_path: Path) -> None:
+    objects = UNKNOWN[name]
+    if "curve" in objects:
+        points = tmp_path / "curve.txt"
+        points.write_text("-1 0 0 0.1\n0 0.5 0 0.1\n1 0.5 0 0.1\n2 0 0 0.1\n")
+        objects = {"curve": objects["curve"] | {"filename": str(points)}}
+    # The box's contours are looked for among the others' hits.
     with (
-        open_view(description) as view,
-        pytest.warns(BlindSpotWarning, match=r"2 x Instance .*translation .*finite_difference"),
+        open_view(scene(box=box(), **objects)) as view,
+        pytest.warns(BlindSpotWarning, match=rf"{re.escape(name)} .*translation .*finite_difference"),
     ):
         find_contours(view)
 

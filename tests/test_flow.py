@@ -5,6 +5,7 @@ Whole Jacobians are compared in test_flow_accuracy.py; here are the scenes that 
 
 from __future__ import annotations
 
+import functools
 import gc
 from typing import Any
 
@@ -221,6 +222,49 @@ def test_the_path_tracer_is_mitsubas_path(integrator: dict[str, Any]) -> None:
 def test_other_estimators_are_called_as_they_are(integrator: dict[str, Any], expected: type) -> None:
     with open_view(textured_wall() | {"integrator": integrator}) as view:
         assert isinstance(paths.tracer(view), expected)
+
+
+class Impostor(mi.SamplingIntegrator):
+    """A Python integrator that calls itself `path` and returns a constant."""
+
+    def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
+        del scene, sampler, medium, active
+        return mi.Color3f(0.25) + 0.0 * ray.d.x, mi.Bool(True), []
+
+    def to_string(self) -> str:
+        return "PathIntegrator[\n  max_depth = 3,\n  rr_depth = 5\n]"
+
+    __repr__ = __str__ = to_string
+
+
+def test_a_python_integrator_is_called_whatever_it_calls_itself() -> None:
+    with open_view(textured_wall(), integrator=Impostor(mi.Properties())) as view:
+        assert isinstance(paths.tracer(view), paths.IntegratorTracer)
+        values, image = flow.jacobian(view, all_pixels(view), spp=16, seed=0, batches=4)
+    assert image == pytest.approx(np.full(image.shape, 0.25), abs=0.02)  # the pilot weights' noise
+    assert np.abs(values).max() < 1.0
+
+
+@functools.cache
+def wall_by(integrator: str) -> np.ndarray:
+    limit = {} if integrator.startswith("direct") else {"max_depth": 2}
+    with open_view(textured_wall(sensor=camera(16, 12)), integrator={"type": integrator} | limit) as view:
+        seed = 1 if integrator == "path" else 2
+        return flow.jacobian(view, all_pixels(view), spp=256, seed=seed, batches=16)[0]
+
+
+USUAL = ["prb_basic", "volpath", "prb_projective"]
+OTHERS = ["direct", "prb", "prbvolpath", "volpathmis", "direct_projective"]
+
+
+@pytest.mark.parametrize("name", [*USUAL, *(pytest.param(name, marks=pytest.mark.slow) for name in OTHERS)])
+def test_every_integrator_that_returns_radiance_gives_the_jacobian_of_path(name: str) -> None:
+    """Slope of the projection onto `path`'s columns, to 4 standard errors of 16 batches and 1 %."""
+    values, path = wall_by(name), wall_by("path")
+    slope = np.einsum("kncj,ncj->kj", values, path.mean(axis=0)) / np.diag(information(path))
+    error = slope.std(axis=0, ddof=1) / 4.0
+    assert np.all(error < 0.02)
+    assert np.all(np.abs(slope.mean(axis=0) - 1.0) < 4 * error + 0.01)
 
 
 # View term

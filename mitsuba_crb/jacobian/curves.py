@@ -181,7 +181,7 @@ class Curves:
             # The frame turns smoothly with the lens point, because the helper axis follows the sphere alone.
             helper = np.eye(3)[np.argmin(np.abs(self.origin[i]), axis=1)]
             first = np.cross(toward, helper)
-            first /= np.linalg.norm(first, axis=1, keepdims=True)
+            first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), np.finfo(float).tiny)
             reach = radius * np.sqrt(1.0 - sine**2)
             u[i], v[i] = reach * first, reach * np.cross(toward, first)
             centre[i] *= 1.0 - sine**2

@@ -36,12 +36,21 @@ class Seen:
 
 
 def tracer(view: View) -> PathTracer | IntegratorTracer:
-    """What traces the view's camera paths."""
-    text = str(view.integrator)
-    if not view.integrator.hide_emitters:
-        if text.startswith(("PathIntegrator[", "PRBIntegrator[")):
-            return PathTracer(*(int(number) for number in re.findall(r"_depth = (\d+)", text)))
-        if text.startswith("DirectIntegrator[") and re.findall(r"_samples = (\d+)", text) == ["1", "1"]:
+    """What traces the view's camera paths.
+
+    Only integrators that are known to the type are replaced; what a Python integrator calls itself is no
+    matter. Those of C++ tell their settings in their description alone.
+    """
+    from mitsuba.python.ad.integrators.prb import PRBIntegrator
+
+    integrator = view.integrator
+    if not integrator.hide_emitters:
+        if type(integrator) is PRBIntegrator:
+            return PathTracer(integrator.max_depth, integrator.rr_depth)
+        settings = [int(number) for number in re.findall(r"_(?:depth|samples) = (\d+)", str(integrator))]
+        if integrator.class_name() == "PathIntegrator":
+            return PathTracer(*settings)
+        if integrator.class_name() == "DirectIntegrator" and settings == [1, 1]:
             return PathTracer(2, 2)
     return IntegratorTracer()
 
