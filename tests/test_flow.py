@@ -241,7 +241,7 @@ def test_a_python_integrator_is_called_whatever_it_calls_itself() -> None:
     with open_view(textured_wall(), integrator=Impostor(mi.Properties())) as view:
         assert isinstance(paths.tracer(view), paths.IntegratorTracer)
         values, image = flow.jacobian(view, all_pixels(view), spp=16, seed=0, batches=4)
-    assert image == pytest.approx(np.full(image.shape, 0.25), abs=0.02)  # the pilot weights' noise
+    assert image.mean() == pytest.approx(0.25, abs=2e-3)  # the pilot weights' noise
     assert np.abs(values).max() < 1.0
 
 
