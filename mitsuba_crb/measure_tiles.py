@@ -1,8 +1,8 @@
 """From a scene to the information of its image's tiles, in one streaming pass.
 
 The counterpart of `pose_bound` for choosing what to send: a grid of tiles of any size, each with its
-information about the pose that several agents have in common, from two halves of the batches (`tile_grid`),
-and with the size of the message that would carry it.
+information about the camera's pose from two halves of the batches (`tile_grid`), and with the size of the
+message that would carry it. `tiles.together` brings several cameras' tiles to the pose of a common body.
 """
 
 from __future__ import annotations
@@ -10,9 +10,7 @@ from __future__ import annotations
 from typing import Any, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from . import se3
 from .errors import SelectionError
 from .measure import MeasurementOptions, measurement
 from .message import message_size
@@ -31,22 +29,18 @@ def tile_information(
     *,
     agent: str | None = None,
     tile_size: int | tuple[int, int] = TILE_SIZE,
-    common_from_agent: ArrayLike | None = None,
-    variable: str = "body",
     form: Form = "factor",
     precision: Precision = "float32",
     rank: int = 6,
     **options: Unpack[MeasurementOptions],
 ) -> TileInformation:
-    """What every tile of one agent's image tells about the pose that all agents have in common.
+    """What every tile of one agent's image tells about its camera's pose.
 
     Args:
         scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
         noise: noise model of the measured image, of independent pixels; None as for `pose_bound`.
         agent: the agent's name; None is the sensor's.
         tile_size: side, or width and height, of the tiles [pixel]; those at the image's rim are cut.
-        common_from_agent: (4, 4), where the camera sits on the common body; None is the body's own frame.
-        variable: the common body's name.
         form: of the messages whose size is the tiles' cost.
         precision: of these messages.
         rank: of these messages, if they are sketches.
@@ -54,16 +48,16 @@ def tile_information(
             estimate of its own.
 
     Returns:
-        Tiles in the body's frame; several agents' need `tiles.together` before `select_tiles`.
+        Tiles in the camera frame, translation in units of the camera's length scale.
 
     Raises:
         SelectionError: the noise is correlated between pixels, whose tiles do not add.
         MitsubaCRBError: as `pose_bound`.
     """
-    body_pose = np.eye(4) if common_from_agent is None else se3.as_pose(common_from_agent)
     options = {"batches": MINIMUM_HALVED_BATCHES, **options}
     with measurement(scene, **options) as run:
         name = run.view.variable if agent is None else agent
+        variable = run.view.variable
         cost = message_size(agent=name, variable=variable, form=form, precision=precision, rank=rank)
         sampled = run.selection.kind == "random"
         grid = TileGrid(run.view.size, tile_size, batches=run.batches, sampled=sampled)
@@ -74,10 +68,8 @@ def tile_information(
         run.warn_of_limits()
         for part in run.tiles():
             grid.add(part.batch_values, model.weights(part.pixels, part.mean), part.pixels)
-        length = run.length_scale
-        agent_from_common = se3.inverse(body_pose)
         select, report = grid.halves(
-            se3.adjoint(agent_from_common) * np.repeat([length, 1.0], 3),
+            np.repeat([run.length_scale, 1.0], 3),
             factor=run.selection.total / run.selection.selected if sampled else 1.0,
         )
         return TileInformation(
@@ -87,6 +79,6 @@ def tile_information(
             report=report,
             cost_bytes=np.full(len(select), cost),
             variable=variable,
-            pose=run.view.pose @ agent_from_common,
-            length_scale=length,
+            pose=run.view.pose,
+            length_scale=run.length_scale,
         )

@@ -12,7 +12,7 @@ from itertools import combinations, pairwise
 from numbers import Integral
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from .errors import OptionError
 from .information import MINIMUM_BATCHES
@@ -87,20 +87,19 @@ class TileGrid:
         height = np.minimum(self._tile_height, self._height - y)
         return np.column_stack([x, y, width, height]).astype(np.int64)
 
-    def halves(self, old_from_new: ArrayLike, *, factor: float = 1.0) -> tuple[Array, Array]:
-        """Two independent estimates (T, 6, 6) of the tiles' information Aᵀ F A.
+    def halves(self, scale: Array, *, factor: float = 1.0) -> tuple[Array, Array]:
+        """Two independent estimates (T, 6, 6) of the tiles' information.
 
         Args:
-            old_from_new: (6, 6), A, from the twist to report about to the derivatives' own.
+            scale: (6,), units of the twist that it is about, in the derivatives' own.
             factor: pixels of the image per pixel added.
         """
-        A = np.asarray(old_from_new, dtype=np.float64)
         middle = self._batches // 2
         pairs = list(combinations(range(self._batches), 2))
         first = [k < middle and j < middle for k, j in pairs]
         second = [k >= middle and j >= middle for k, j in pairs]
         select, report = (
-            factor * A.T @ unpack(self._sums[half][:, :, self._measured].mean(axis=0).T) @ A
+            factor * scale[:, None] * unpack(self._sums[half][:, :, self._measured].mean(axis=0).T) * scale
             for half in (first, second)
         )
         return select, report

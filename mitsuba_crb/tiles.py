@@ -1,8 +1,9 @@
 """What agents can send, tile by tile, and under which budgets.
 
-A tile is a rectangle of one agent's image; its information about the pose that all agents have in common adds
-to every other tile's, because the noise of different pixels is independent. All 6 x 6 blocks are in the body
-frame of that common pose, translation in units of its length scale (`se3`), so that they may simply be added.
+A tile is a rectangle of one agent's image; its information about a pose adds to every other tile's, because
+the noise of different pixels is independent. All 6 x 6 blocks are in the body frame of their pose, with
+translation in units of a length scale (`se3`). Once they are about the one pose that the agents have in
+common (`together`), they may simply be added.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from difflib import get_close_matches
 from numbers import Integral
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from . import se3
 from .errors import FrameError, SelectionError
@@ -24,7 +25,7 @@ from .symmetric import symmetrised
 
 @dataclass(frozen=True, eq=False)
 class TileInformation:
-    """One agent's tiles, each with two independent estimates of its information about the common pose."""
+    """One agent's tiles, each with two independent estimates of its information about one pose."""
 
     agent: str
     """The agent's name."""
@@ -37,11 +38,11 @@ class TileInformation:
     cost_bytes: NDArray[np.int64]
     """(T,), size of the message that carries the tile [byte]."""
     variable: str
-    """What the common pose belongs to, the same for all agents."""
+    """What the pose belongs to: the camera, or the body that all agents have in common."""
     pose: Array
-    """world_from_common, the linearisation point, the same for all agents."""
+    """world_from_camera or world_from_common, the linearisation point."""
     length_scale: float
-    """Unit of the blocks' translation [scene unit], the same for all agents."""
+    """Unit of the blocks' translation [scene unit]."""
     correlated_noise: bool = False
     """Whether noise is correlated between the pixels of different tiles; such tiles do not add."""
 
@@ -214,22 +215,47 @@ class Problem:
         return replace(kept, limits=Limits(agent_tiles, agent_bytes, tiles, total))
 
 
-def together(agents: Sequence[TileInformation]) -> list[TileInformation]:
-    """The same tiles in one unit, the largest length scale, and about exactly one pose, the first by name.
+def together(
+    agents: Sequence[TileInformation], common_from_agents: Sequence[ArrayLike], *, variable: str = "body"
+) -> list[TileInformation]:
+    """Tiles about each agent's own pose, made tiles about the pose of the body that they all sit on.
+
+    Every block becomes Aᵀ F A, A = Ad(agent_from_common) (`fusion`), in units of the largest length scale;
+    messages name the body in place of the camera. The pose is that of the first agent by name.
+
+    Args:
+        agents: as `tile_information` gives them.
+        common_from_agents: (4, 4) each, in the agents' order: where they sit on the body.
+        variable: the body's name.
 
     Raises:
+        PoseError: a transform is no rigid motion.
         FrameError: the agents put the body in different places.
     """
-    if not agents:
-        return []
-    first = min(agents, key=lambda agent: agent.agent)
-    length = max(agent.length_scale for agent in agents)
+    transforms = [se3.as_pose(transform) for transform in common_from_agents]
+    bodies = {
+        agent.agent: agent.pose @ se3.inverse(transform)
+        for agent, transform in zip(agents, transforms, strict=True)
+    }
+    first = min(bodies, default="")
+    length = max((agent.length_scale for agent in agents), default=1.0)
     common = []
-    for agent in agents:
-        refuse_two_places(agent.agent, agent.pose, first.agent, first.pose)
-        d = np.repeat([length / agent.length_scale, 1.0], 3)
-        scaled = {name: d[:, None] * getattr(agent, name) * d for name in ("select", "report")}
-        common.append(replace(agent, pose=first.pose, length_scale=length, **scaled))
+    for agent, transform in zip(agents, transforms, strict=True):
+        reach = float(max(np.abs(agent.pose).max(), np.abs(transform).max()))
+        refuse_two_places(agent.agent, bodies[agent.agent], first, bodies[first], reach=reach)
+        own_units, new_units = (np.repeat([scale, 1.0], 3) for scale in (agent.length_scale, length))
+        A = se3.adjoint(se3.inverse(transform)) * new_units / own_units[:, None]
+        common.append(
+            replace(
+                agent,
+                select=A.T @ agent.select @ A,
+                report=A.T @ agent.report @ A,
+                cost_bytes=agent.cost_bytes + len(variable.encode()) - len(agent.variable.encode()),
+                variable=variable,
+                pose=bodies[first],
+                length_scale=length,
+            )
+        )
     return common
 
 

@@ -60,6 +60,50 @@ def radial_wall() -> Array:
     return coloured(light, warm, green, mean=0.45, contrast=0.8)[None].astype(np.float16)
 
 
+def _row(profile: Array) -> Array:
+    """One row of linear RGB texels from (length, 3): constant along the second texture axis, exactly."""
+    return np.clip(profile, 0.02, None)[None].astype(np.float16)
+
+
+def cartons() -> Array:
+    """Cardboard in all browns behind the warehouse's racks, 12 m."""
+    light, warm, green = (natural_noise(seed, (768,), cutoff=0.1, exponent=0.5) for seed in (51, 52, 53))
+    return _row(np.array([0.42, 0.30, 0.20]) * coloured(light, warm, green, mean=1.0, contrast=1.5))
+
+
+def shutter() -> Array:
+    """Slats of a roller shutter, 5 m, 0.16 m each, with weathered paint."""
+    height = np.arange(512)
+    slat = np.sin(2 * np.pi * height / 16) + 0.35 * np.sin(4 * np.pi * height / 16 + 0.6)
+    worn = natural_noise(61, (512,), cutoff=0.08, exponent=0.6)
+    shade = stretch_to(slat + 0.6 * worn, 0.35, 1.2)[:, None]
+    return _row(shade * np.array([0.36, 0.42, 0.46]))
+
+
+def lanes() -> Array:
+    """A concrete floor, 12 m, with yellow lines of soft edges and tyre marks."""
+    position = 12.0 * (np.arange(1024) + 0.5) / 1024 - 6.0
+    light, warm, green = (natural_noise(seed, (1024,), cutoff=0.12, exponent=0.6) for seed in (71, 72, 73))
+    concrete = np.array([0.40, 0.39, 0.37]) * coloured(light, 0.3 * warm, 0.3 * green, mean=1.0, contrast=0.9)
+
+    def stripe(centre: float, width: float) -> Array:
+        return np.exp(-((np.abs(position - centre) / width) ** 4))[:, None]
+
+    for centre in (-4.3, -1.0, 1.45, 4.6):
+        concrete += stripe(centre, 0.06) * (np.array([0.75, 0.52, 0.05]) - concrete)
+    for centre in (0.75, 1.0):
+        concrete *= 1.0 - 0.5 * stripe(centre, 0.09)
+    return _row(concrete)
+
+
+def rings() -> Array:
+    """An air duct's louvre, a profile over the radius, 1.9 m, of Mitsuba's `disk`."""
+    radius = np.arange(1024) / 1024
+    worn = natural_noise(81, (1024,), cutoff=0.07, exponent=0.5)
+    shade = stretch_to(np.sin(2 * np.pi * 14 * radius) + 0.7 * worn, 0.15, 0.75)[:, None]
+    return _row(shade * np.array([0.92, 1.0, 1.05]))
+
+
 def sky() -> Array:
     """Environment map, 448x224, y up: clouds over haze, a veiled sun.
 

@@ -10,7 +10,7 @@ import pytest
 from small_scenes import textured_wall
 
 from mitsuba_crb import fisher_information, measure_tiles, pose_bound, pose_jacobian, se3
-from mitsuba_crb.errors import FrameError, OptionError, SelectionError
+from mitsuba_crb.errors import FrameError, OptionError, PoseError, SelectionError
 from mitsuba_crb.fusion import Agent, to_common
 from mitsuba_crb.measure_tiles import tile_information
 from mitsuba_crb.message import encode, message_size
@@ -38,7 +38,8 @@ def _scaled(information: Any) -> Any:
 
 def test_each_half_is_the_information_of_the_tile_s_pixels_from_its_batches(jacobian: Any) -> None:
     """The oracle assembles a Jacobian cut to the tile's pixels and to half of the batches."""
-    found = tile_information(textured_wall(), SIGMA, tile_size=(16, 12), common_from_agent=BODY, **FAST)
+    own = tile_information(textured_wall(), SIGMA, tile_size=(16, 12), **FAST)
+    (found,) = together([own], [BODY])
     assert found.tiles.tolist()[:3] == [[0, 0, 16, 12], [16, 0, 16, 12], [32, 0, 8, 12]]
     assert found.tiles.tolist()[-1] == [32, 24, 8, 6]
     for k, (x, y, width, height) in enumerate(found.tiles):
@@ -87,9 +88,10 @@ def test_a_mask_keeps_the_tiles_that_it_touches_and_a_sample_stands_for_all() ->
 
 
 def test_the_cost_is_the_size_of_the_message() -> None:
-    found = tile_information(
+    own = tile_information(
         textured_wall(), SIGMA, agent="robot é", form="sketch", precision="float16", rank=2, **FAST
     )
+    (found,) = together([own], [np.eye(4)])
     assert found.cost_bytes.tolist() == [
         message_size(agent="robot é", variable="body", form="sketch", precision="float16", rank=2)
     ] * len(found.tiles)
@@ -116,7 +118,7 @@ def test_halves_have_no_bias_where_the_plain_product_has() -> None:
         values = J + 2.0 * rng.normal(size=(8, *J.shape))
         grid = TileGrid((4, 4), 4, batches=8)
         grid.add(values, np.ones((12, 3)), pixels)
-        estimates.append([half[0] for half in grid.halves(np.eye(6))])
+        estimates.append([half[0] for half in grid.halves(np.ones(6))])
         mean = values.mean(axis=0).reshape(-1, 6)
         plain.append(mean.T @ mean)
     F = J.reshape(-1, 6).T @ J.reshape(-1, 6)
@@ -130,23 +132,30 @@ def test_halves_have_no_bias_where_the_plain_product_has() -> None:
 
 
 def test_agents_are_brought_to_one_pose_and_unit() -> None:
-    agents = [
-        tile_information(textured_wall(), SIGMA, agent=name, common_from_agent=BODY, **FAST) for name in "ab"
-    ]
-    wider = dataclasses.replace(agents[0], length_scale=2.0 * agents[0].length_scale)
-    common = together([wider, agents[1]])
-    assert {agent.length_scale for agent in common} == {wider.length_scale}
-    np.testing.assert_array_equal(common[0].select, wider.select)
-    # The same motion, said in either unit.
+    a, b = (tile_information(textured_wall(), SIGMA, agent=name, **FAST) for name in "ab")
+    units = np.repeat([2.0, 1.0], 3)
+    wider = dataclasses.replace(
+        a,
+        length_scale=2.0 * a.length_scale,
+        select=units[:, None] * a.select * units,
+        report=units[:, None] * a.report * units,
+    )
+    common = together([b, wider], [BODY, BODY], variable="rig")
+    assert {(agent.length_scale, agent.variable) for agent in common} == {(wider.length_scale, "rig")}
+    assert common[0].cost_bytes[0] == b.cost_bytes[0] - len("camera") + len("rig")
+    # The same tiles, said in another unit before.
+    np.testing.assert_allclose(common[0].select, common[1].select, rtol=1e-9)
+    # The same motion of the camera and of the body.
     motion = np.array([0.1, 0.2, -0.3, 0.01, 0.02, -0.03])
-    own, new = (motion / np.repeat([t.length_scale, 1.0], 3) for t in (agents[1], common[1]))
-    expected = own @ agents[1].select[0] @ own
-    assert new @ common[1].select[0] @ new == pytest.approx(expected, rel=1e-12)
+    own = se3.adjoint(se3.inverse(BODY)) @ motion / np.repeat([b.length_scale, 1.0], 3)
+    body = motion / np.repeat([wider.length_scale, 1.0], 3)
+    assert body @ common[0].select[0] @ body == pytest.approx(own @ b.select[0] @ own, rel=1e-9)
     assert len(select_tiles(common, Budget(tiles=3)).chosen) == 3
-    assert together([]) == []
-    elsewhere = dataclasses.replace(agents[1], pose=agents[1].pose @ se3.exp([0, 0, 0.1, 0, 0, 0]))
+    assert together([], []) == []
     with pytest.raises(FrameError, match=r"agent 'b'.*0.1 scene units"):
-        together([agents[0], elsewhere])
+        together([a, b], [BODY, se3.exp([0, 0, 0.1, 0, 0, 0]) @ BODY])
+    with pytest.raises(PoseError, match="scale"):
+        together([a], [np.diag([2.0, 2.0, 2.0, 1.0])])
 
 
 class Coupled(Gaussian):
