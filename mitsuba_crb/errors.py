@@ -51,6 +51,10 @@ class NoiseError(MitsubaCRBError):
     """A noise model has impossible parameters, or does not match the image."""
 
 
+class NuisanceError(MitsubaCRBError):
+    """A nuisance parameter does not exist, has no derivative, or was named twice."""
+
+
 class RadianceError(MitsubaCRBError):
     """The renderer returned radiance that is not finite."""
 
@@ -85,6 +89,10 @@ class MessageError(MitsubaCRBError):
 
 class BlindSpotWarning(UserWarning):
     """A method cannot see some of the scene's image changes; the information is too small."""
+
+
+class NuisanceWarning(UserWarning):
+    """The image does not see a nuisance parameter, which therefore costs nothing."""
 
 
 class PrecisionWarning(UserWarning):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from itertools import permutations
+from itertools import pairwise, permutations
 
 import numpy as np
 import pytest
 
+from mitsuba_crb.errors import NuisanceError, PixelsError
 from mitsuba_crb.information import BLOCK, InformationAccumulator, PixelSelection
+from mitsuba_crb.joint_information import JointAccumulator
 from mitsuba_crb.symmetric import pack
 
 ALL = PixelSelection("all", 16 * 32, 16 * 32, "all")
@@ -78,3 +80,168 @@ class TestMoreColumns:
         )
         actual = accumulator._units.unbiased
         np.testing.assert_allclose(actual, 0.25 * expected, atol=1e-9 * np.abs(expected).max())
+
+
+def _joint(view: Columns, names: tuple[str, ...], values=None, **options):
+    accumulator = JointAccumulator(names, batches=view.batches, **options)
+    accumulator.add(view.draw() if values is None else values, view.weights, view.pixels)
+    return accumulator.information(variable="camera", pose=np.eye(4), length_scale=2.0, selection=ALL)
+
+
+def _schur(matrix, unknown):
+    """By the inverse: the pose's block of F⁻¹, inverted."""
+    kept = [*range(6), *unknown]
+    return np.linalg.inv(np.linalg.inv(matrix[np.ix_(kept, kept)])[:6, :6])
+
+
+class TestMarginal:
+    names = ("gain", "fov", "point", "point")
+    columns = {"gain": [6], "fov": [7], "point": [8, 9]}  # noqa: RUF012  read only
+
+    @pytest.mark.parametrize(
+        "unknown", [(), ("gain",), ("point",), ("point", "gain"), ("gain", "fov", "point")]
+    )
+    def test_it_is_the_inverse_of_the_pose_block_of_the_inverse(self, unknown):
+        joint = _joint(Columns(4), self.names)
+        information = joint.marginalize(*unknown).fix().information if unknown else joint.fix().information
+        expected = _schur(joint.matrix, [c for name in unknown for c in self.columns[name]])
+        np.testing.assert_allclose(
+            information.matrix, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max()
+        )
+
+    def test_unknown_is_never_more_than_known_and_each_nuisance_only_takes(self):
+        """The Loewner order, to rounding; the negative control has the order reversed."""
+        joint = _joint(Columns(4, noise=2.0), self.names)
+        chain = [joint.fix().information]
+        for count in (1, 2, 3):
+            chain.append(joint.marginalize(*("gain", "fov", "point")[:count]).fix().information)
+        for more, less in pairwise(chain):
+            smallest = np.linalg.eigvalsh(more.matrix - less.matrix)[0]
+            assert smallest > -1e-9 * np.abs(more.matrix).max()
+            assert np.linalg.eigvalsh(less.matrix - more.matrix)[0] < -1e-6 * np.abs(more.matrix).max()
+
+    def test_restoring_gives_back_every_bit(self):
+        joint = _joint(Columns(4), self.names)
+        known = joint.fix().information
+        undone = joint.marginalize().restore("gain").marginalize("gain").restore().fix().information
+        assert np.array_equal(undone.matrix, known.matrix)
+        assert np.array_equal(undone.covariance_of_entries, known.covariance_of_entries)
+        unknown = joint.marginalize().information
+        assert not np.array_equal(unknown.matrix, known.matrix)
+        assert np.array_equal(joint.fix().restore().marginalize().information.matrix, unknown.matrix)
+
+    def test_knowing_everything_is_the_information_of_six_columns(self):
+        view = Columns(4)
+        values = view.draw()
+        six = view.sums(values[..., :6])
+        known = _joint(view, self.names, values).fix().information
+        np.testing.assert_allclose(known.matrix, six.matrix, rtol=1e-10)
+        np.testing.assert_allclose(known.plain_matrix, six.plain_matrix, rtol=1e-10)
+
+    def test_what_was_not_decided_is_asked_for(self):
+        joint = _joint(Columns(4), self.names)
+        with pytest.raises(NuisanceError, match="say of gain, point whether"):
+            _ = joint.fix("fov").information
+        for act in (joint.fix, joint.marginalize, joint.restore):
+            with pytest.raises(NuisanceError, match="no nuisance glow; it has: gain, fov, point"):
+                act("glow")
+
+    @pytest.mark.slow
+    def test_covariance_of_entries_is_that_of_repetitions(self):
+        """Of 200 draws; relative error of a variance 10 %, so 21 of them stay within 4 errors. The covariance
+        with η known instead is the negative control."""
+        view = Columns(2, noise=1.5)
+        draws, predicted, known = [], [], []
+        for _ in range(200):
+            joint = _joint(view, ("gain", "fov"))
+            information = joint.marginalize().information
+            draws.append(pack(information.matrix))
+            predicted.append(np.diagonal(information.covariance_of_entries))
+            known.append(np.diagonal(joint.fix().information.covariance_of_entries))
+        variance = np.var(draws, axis=0, ddof=1)
+        assert np.abs(np.mean(predicted, axis=0) / variance - 1.0).max() < 4 * np.sqrt(2 / 200)
+        assert np.abs(np.mean(known, axis=0) / variance - 1.0).max() > 4 * np.sqrt(2 / 200)
+        error = np.sqrt(variance / 200)
+        expected = pack(_schur(view.truth, [6, 7]))
+        # Second order in the noise: a bias well below one draw's standard error.
+        assert np.abs((np.mean(draws, axis=0) - expected) / np.sqrt(variance)).max() < 0.5
+        assert np.abs((np.mean(draws, axis=0) - expected) / error).max() < 8.0
+
+
+class TestUnseen:
+    def test_a_nuisance_without_derivative_costs_exactly_nothing(self):
+        view = Columns(2)
+        values = view.draw()
+        values[..., 6] = 0.0
+        joint = _joint(view, ("dark", "fov"), values)
+        assert joint.unseen == ("dark",)
+        assert np.array_equal(
+            joint.marginalize("dark").fix().information.matrix, joint.fix().information.matrix
+        )
+
+    def test_noise_alone_is_unseen_and_takes_nothing(self):
+        view = Columns(2, noise=1.0)
+        view.J[..., 6] = 0.0
+        joint = _joint(view, ("dark", "fov"))
+        assert joint.unseen == ("dark",)
+        assert np.array_equal(
+            joint.marginalize("dark").fix().information.matrix, joint.fix().information.matrix
+        )
+
+    def test_two_that_cannot_be_told_apart_cost_as_much_as_one(self):
+        view = Columns(2, noise=0.0)
+        view.J[..., 7] = -3.0 * view.J[..., 6]
+        joint = _joint(view, ("gain", "lamp"))
+        assert joint.unseen == ()
+        both, one = joint.marginalize().information, joint.marginalize("gain").fix().information
+        np.testing.assert_allclose(both.matrix, one.matrix, rtol=1e-9, atol=1e-9 * one.matrix.max())
+
+
+class TestPerTile:
+    def test_it_is_the_schur_complement_of_a_column_in_every_tile(self):
+        """Exact Jacobians: two tiles of 16 x 16, each with its own gain, and one field of view."""
+        view = Columns(3, noise=0.0)
+        values = view.draw()
+        joint = _joint(view, ("gain:16", "fov", "black:16"), values)
+        assert joint.parameters == ("fov",)
+        assert joint.per_tile == ("gain:16", "black:16")
+        right = view.pixels[:, 0] >= 16
+        pose, (gain, fov, black) = view.J[..., :6], np.moveaxis(view.J[..., 6:], -1, 0)
+        columns = [
+            gain * right[:, None],
+            gain * ~right[:, None],
+            fov,
+            black * right[:, None],
+            black * ~right[:, None],
+        ]
+        J = np.concatenate([pose, np.stack(columns, axis=-1)], axis=-1)
+        whole = np.einsum("nci,nc,ncj->ij", J, view.weights, J)
+        for unknown, own in (
+            (("gain:16",), [6, 7]),
+            (("black:16",), [9, 10]),
+            (("gain:16", "fov"), [6, 7, 8]),
+            (("gain:16", "fov", "black:16"), [6, 7, 8, 9, 10]),
+        ):
+            information = joint.marginalize(*unknown).fix().information
+            np.testing.assert_allclose(
+                information.matrix, _schur(whole, own), rtol=1e-8, atol=1e-8 * whole.max()
+            )
+        one = _joint(view, ("gain", "fov", "black"), values).marginalize("gain").fix().information
+        many = joint.marginalize("gain:16").fix().information
+        costs = np.linalg.eigvalsh(one.matrix - many.matrix)  # a gain per tile costs more
+        assert costs[0] > -1e-9 * whole.max()
+        assert costs[-1] > 1e-5 * whole.max()
+
+    def test_a_tile_in_two_calls_is_refused(self):
+        view = Columns(1)
+        values = view.draw()
+        accumulator = JointAccumulator(("gain:32",), batches=4)
+        accumulator.add(values[:, :100], view.weights[:100], view.pixels[:100])
+        with pytest.raises(PixelsError, match="32 x 32 tile came in two calls"):
+            accumulator.add(values[:, 100:], view.weights[100:], view.pixels[100:])
+
+    def test_tiles_that_do_not_fit_are_refused(self):
+        with pytest.raises(NuisanceError, match="the same tiles, not 16, 32"):
+            JointAccumulator(("gain:16", "black:32"), batches=4)
+        with pytest.raises(NuisanceError, match="multiple of 16, not 24"):
+            JointAccumulator(("gain:24",), batches=4)

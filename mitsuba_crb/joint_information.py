@@ -1,0 +1,334 @@
+"""Information of a pose together with nuisance parameters, and what is left of it when those are unknown.
+
+With F = [[A, B], [Bᵀ, D]] the information of (ξ, η), a known η leaves A, and an unknown one
+
+    A − B D⁻¹ Bᵀ = Gᵀ F G,   G = [1; −D⁻¹ Bᵀ],
+
+the least of GᵀFG over all G with 1 on top. So noise in G counts in second order only, δ(GᵀFG) = Gᵀ δF G,
+which gives the covariance of the entries. D⁻¹ is the pseudo-inverse on what is seen of η (`identifiability`):
+what the image does not see has no coupling either. Nuisances leave one after the other, in the order of their
+columns, so that each can only take information away.
+
+A nuisance with a value of its own in every tile of the image ("gain:32") is in that tile's information only,
+and leaves it tile by tile: Gᵀ F_tile G is the information of the tile's columns J G. Memory does not grow
+with the number of tiles.
+
+Source: Kay, "Fundamentals of Statistical Signal Processing", vol. I, 1993, section 3.7; van Trees 1968.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from dataclasses import replace as dataclass_replace
+from itertools import chain, combinations
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import se3
+from .errors import NoiseError, NuisanceError, PixelsError
+from .identifiability import identify
+from .information import (
+    BLOCK,
+    FisherInformation,
+    ImageJacobian,
+    InformationAccumulator,
+    PixelSelection,
+    Sums,
+)
+from .noise import NoiseModel
+from .se3 import Array
+from .symmetric import congruence
+
+Columns = list[int]
+
+
+@dataclass(frozen=True, eq=False)
+class JointInformation:
+    """Fisher information of a pose and of nuisance parameters, in the camera frame.
+
+    `marginalize` and `fix` say what is not known and what is; `restore` takes that back, and nothing is lost.
+    """
+
+    sums: Mapping[frozenset[str], Sums]
+    """Information of (ξ, η) by the set of per-tile nuisances that are unknown, the others known; without
+    per-tile nuisances the empty set's alone."""
+    parameters: tuple[str, ...]
+    """Names of η's entries in the order of their columns; a nuisance of several columns repeats its name."""
+    per_tile: tuple[str, ...]
+    """Names of the nuisances with a value in every tile."""
+    variable: str
+    """Which camera the pose belongs to."""
+    pose: Array
+    """world_from_camera, the linearisation point."""
+    length_scale: float
+    """Length [scene unit] that makes translation comparable with rotation."""
+    selection: PixelSelection
+    """Which pixels it is the information of."""
+    treatment: Mapping[str, Literal["marginalized", "fixed"]] = field(default_factory=dict)
+    """What was decided of which nuisance."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All nuisances, each once."""
+        return tuple(dict.fromkeys((*self.parameters, *self.per_tile)))
+
+    @property
+    def matrix(self) -> Array:
+        """(6 + m, 6 + m), of (ξ, η), ξ first, per-tile nuisances known."""
+        return self.sums[frozenset()].matrix
+
+    @property
+    def covariance_of_entries(self) -> Array:
+        """(E, E), of `matrix`'s upper triangle in `numpy.triu_indices(6 + m)` order."""
+        return self.sums[frozenset()].covariance_of_entries
+
+    def marginalize(self, *names: str) -> JointInformation:
+        """With these nuisances unknown; without names, all that nothing was decided of.
+
+        Raises:
+            NuisanceError: there is none of that name.
+        """
+        return self._treat(names, "marginalized")
+
+    def fix(self, *names: str) -> JointInformation:
+        """With these nuisances known; without names, all that nothing was decided of.
+
+        Raises:
+            NuisanceError: there is none of that name.
+        """
+        return self._treat(names, "fixed")
+
+    def restore(self, *names: str) -> JointInformation:
+        """With nothing decided of these nuisances; without names, of any."""
+        self._check(names)
+        kept = {name: how for name, how in self.treatment.items() if names and name not in names}
+        return dataclass_replace(self, treatment=kept)
+
+    @property
+    def information(self) -> FisherInformation:
+        """Of the pose alone.
+
+        Raises:
+            NuisanceError: nothing was decided of some nuisance.
+        """
+        undecided = [name for name in self.names if name not in self.treatment]
+        if undecided:
+            raise NuisanceError(f"say of {', '.join(undecided)} whether to marginalize() or to fix() it")
+        unknown = [name for name in self.names if self.treatment[name] == "marginalized"]
+        sums = self.sums[frozenset(unknown) & frozenset(self.per_tile)]
+        G = _eliminate(sums, [self._columns(name) for name in unknown if name not in self.per_tile])
+        T = congruence(G)
+        return FisherInformation(
+            matrix=G.T @ sums.matrix @ G,
+            covariance_of_entries=T @ sums.covariance_of_entries @ T.T,
+            frame="camera",
+            variable=self.variable,
+            pose=se3.as_pose(self.pose),
+            length_scale=self.length_scale,
+            selection=self.selection,
+            plain_matrix=G.T @ sums.plain_matrix @ G,
+        )
+
+    @property
+    def unseen(self) -> tuple[str, ...]:
+        """Nuisances of the whole image that it does not see at all, even with everything else known."""
+        sums, names = self.sums[frozenset()], dict.fromkeys(self.parameters)
+        return tuple(name for name in names if not _seen(sums, self._columns(name))[1].any())
+
+    def to_dict(self) -> dict[str, Any]:
+        """The joint information as JSON-able values."""
+        return {
+            "parameters": list(self.parameters),
+            "per_tile": list(self.per_tile),
+            "matrix": self.matrix.tolist(),
+            "treatment": dict(self.treatment),
+        }
+
+    def _columns(self, name: str) -> Columns:
+        return [6 + k for k, parameter in enumerate(self.parameters) if parameter == name]
+
+    def _treat(self, names: tuple[str, ...], how: Literal["marginalized", "fixed"]) -> JointInformation:
+        self._check(names)
+        chosen = names or [name for name in self.names if name not in self.treatment]
+        return dataclass_replace(self, treatment={**self.treatment, **dict.fromkeys(chosen, how)})
+
+    def _check(self, names: tuple[str, ...]) -> None:
+        unknown = [name for name in names if name not in self.names]
+        if unknown:
+            known = ", ".join(self.names) or "none"
+            raise NuisanceError(f"this information has no nuisance {', '.join(unknown)}; it has: {known}")
+
+
+class JointAccumulator:
+    """Streams the joint information of an image, as `InformationAccumulator` does that of a pose.
+
+    All pixels of a nuisance's tile must come in the same call.
+    """
+
+    def __init__(
+        self, parameters: tuple[str, ...], *, batches: int, block: int = 1, sampled: bool = False
+    ) -> None:
+        """Start from nothing.
+
+        Args:
+            parameters: names of the nuisances, in the order of their columns after the twist's six.
+            batches, block, sampled: see `InformationAccumulator`.
+
+        Raises:
+            NuisanceError: per-tile nuisances with different tiles, or tiles that are no multiple of 16.
+        """
+        self._batches, self._block = batches, block
+        self._parameters = parameters
+        self._side = tile_side(parameters)
+        self._local = {
+            name: [6 + k for k, parameter in enumerate(parameters) if parameter == name]
+            for name in dict.fromkeys(parameters)
+            if _side_of(name) is not None
+        }
+        count = 6 + len(parameters) - sum(map(len, self._local.values()))
+        subsets = chain.from_iterable(combinations(self._local, r) for r in range(len(self._local) + 1))
+        self._parts = {
+            frozenset(subset): InformationAccumulator(
+                batches=batches, block=block, sampled=sampled, columns=count
+            )
+            for subset in subsets
+        }
+        self._tiles: set[int] = set()
+
+    def add(self, batch_values: ArrayLike, weights: ArrayLike, pixels: ArrayLike) -> None:
+        """Add some pixels; arguments and errors as `InformationAccumulator.add`.
+
+        Raises:
+            PixelsError: a tile of a per-tile nuisance came in two calls.
+        """
+        values, positions = np.asarray(batch_values, dtype=np.float64), np.asarray(pixels)
+        if self._side is None:
+            self._parts[frozenset()].add(values, weights, positions)
+            return
+        precision = np.asarray(weights, dtype=np.float64)
+        x, y = (positions.astype(np.int64) // self._side).T
+        tile = y << 32 | x
+        for number in np.unique(tile):
+            if int(number) in self._tiles:
+                raise PixelsError(
+                    f"a nuisance's {self._side} x {self._side} tile came in two calls; use tiles with sides "
+                    f"that are multiples of {self._side}"
+                )
+            self._tiles.add(int(number))
+            self._add_tile(values, precision, positions, np.flatnonzero(tile == number))
+
+    def information(
+        self, *, variable: str, pose: ArrayLike, length_scale: float, selection: PixelSelection
+    ) -> JointInformation:
+        """The joint information of everything added so far, with nothing decided of any nuisance.
+
+        Raises:
+            PixelsError: as `InformationAccumulator.information`.
+        """
+        return JointInformation(
+            sums={subset: part.sums(selection) for subset, part in self._parts.items()},
+            parameters=tuple(name for name in self._parameters if name not in self._local),
+            per_tile=tuple(self._local),
+            variable=variable,
+            pose=se3.as_pose(pose),
+            length_scale=length_scale,
+            selection=selection,
+        )
+
+    def _add_tile(self, values: Array, weights: Array, pixels: NDArray[Any], index: NDArray[np.intp]) -> None:
+        values, weights, pixels = values[:, index], weights[index], pixels[index]
+        own = InformationAccumulator(batches=self._batches, block=self._block, columns=values.shape[-1])
+        own.add(values, weights, pixels)
+        sums = own.sums(PixelSelection("only", len(index), len(index), "a nuisance's tile"))
+        others = [c for c in range(values.shape[-1]) if not any(c in own for own in self._local.values())]
+        for subset, part in self._parts.items():
+            G = _eliminate(sums, [self._local[name] for name in self._local if name in subset], others)
+            part.add(values @ G, weights, pixels)
+
+
+def joint_information(jacobian: ImageJacobian, noise: NoiseModel) -> JointInformation:
+    """The Fisher information of the pose and of the Jacobian's nuisance parameters, without noise bias.
+
+    Raises:
+        NoiseError: the noise model does not fit the image.
+        RadianceError: the Jacobian is not finite somewhere.
+    """
+    if not isinstance(noise, NoiseModel):
+        raise NoiseError(f"expected a noise model such as noise.Gaussian(0.01), not {noise!r}")
+    noise.check(*jacobian.image.shape)
+    camera = jacobian.to_frame("camera")
+    accumulator = JointAccumulator(
+        camera.parameters,
+        batches=len(camera.batch_values),
+        block=camera.block,
+        sampled=camera.selection.kind == "random",
+    )
+    accumulator.add(camera.batch_values, noise.weights(camera.pixels, camera.mean), camera.pixels)
+    return accumulator.information(
+        variable=camera.variable,
+        pose=camera.pose,
+        length_scale=camera.length_scale,
+        selection=camera.selection,
+    )
+
+
+def tile_side(names: tuple[str, ...]) -> int | None:
+    """Side [pixel] of the tiles that the names' per-tile nuisances ("gain:32") share; None if there is none.
+
+    Raises:
+        NuisanceError: they differ, or are no positive multiple of 16.
+    """
+    sides = {side for side in map(_side_of, names) if side is not None}
+    if len(sides) > 1:
+        raise NuisanceError(
+            f"all nuisances per tile must have the same tiles, not {', '.join(map(str, sorted(sides)))}"
+        )
+    for side in sides:
+        if side <= 0 or side % BLOCK:
+            raise NuisanceError(f"the side of a nuisance's tiles must be a multiple of {BLOCK}, not {side}")
+    return next(iter(sides), None)
+
+
+def _side_of(name: str) -> int | None:
+    found = re.fullmatch(r".+:(\d+)", name)
+    return int(found[1]) if found else None
+
+
+def _seen(sums: Sums, columns: Columns) -> tuple[Array, Array]:
+    """Directions (q, r) of some columns that the image sees, and their information (r,)."""
+    D = sums.matrix[np.ix_(columns, columns)]
+    diagonal = np.abs(np.diagonal(D))
+    d = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    # Rows of the whole are picked and scaled at once.
+    S = np.zeros((len(sums.matrix), len(columns)))
+    S[columns, np.arange(len(columns))] = d
+    T = congruence(S)
+    found = identify(S.T @ sums.matrix @ S, T @ sums.covariance_of_entries @ T.T)
+    return d[:, None] * found.seen, found.eigenvalues[: found.rank]
+
+
+def _eliminate(sums: Sums, groups: list[Columns], kept: Columns | None = None) -> Array:
+    """G (P, len(kept)) that takes unknown columns, group by group, out of an information.
+
+    Args:
+        sums: of all P columns.
+        groups: columns that are unknown.
+        kept: columns that stay, the twist's six by default; all others are known.
+    """
+    kept = list(range(6)) if kept is None else kept
+    left = kept + [column for group in groups for column in group]
+    G = np.eye(len(sums.matrix))[:, left]
+    for group in groups:
+        T = congruence(G)
+        now = Sums(G.T @ sums.matrix @ G, T @ sums.covariance_of_entries @ T.T, sums.plain_matrix)
+        own = [left.index(column) for column in group]
+        rest = [k for k in range(len(left)) if k not in own]
+        directions, information = _seen(now, own)
+        step = np.eye(len(left))[:, rest]
+        step[own] = -(directions / information) @ directions.T @ now.matrix[np.ix_(own, rest)]
+        G, left = G @ step, [left[k] for k in rest]
+    return G
