@@ -102,9 +102,10 @@ def encode(
         agent: the sender's name, at most 255 bytes of UTF-8.
         sequence: counts up with every message of this agent.
         tile: x, y, width, height of the part of the image that it is about; None for the whole.
-        form: `"full"` for well-conditioned matrices, `"factor"` for all, `"sketch"` for few directions.
-        precision: as a factor or full-rank sketch, `"float16"` keeps at least 0.94 of F in every direction up
-            to condition 1e4, `"float32"` 0.99 up to 1e10. Beyond, and for singular F, δ counts.
+        form: `"factor"`; `"full"`, twice the numbers, for indefinite estimates and the smallest δ; `"sketch"`
+            for few directions.
+        precision: `"float16"` keeps at least 0.94 of F in every direction up to condition 1e4, `"float32"`
+            0.99 up to 1e10; of a sketch, in the directions sent. Beyond, and for singular F, δ counts.
         rank: columns of a sketch.
         base: a complete message of the same agent and tile that receivers already have; only what has changed
             since is sent, and receivers without it cannot use the message.

@@ -30,7 +30,7 @@ Little endian, no padding:
     134     f32     η
     138     6 x i8  exponents of n, in halves
     144     utf-8   agent's name, variable's name
-    ...     f16/f32 the numbers: 21 of the full and factor forms, 6 k of a sketch
+    ...     f16/f32 the numbers: 42 of the full form, 21 of the factor, 6 k of a sketch
     ...     u32     CRC-32 of everything before
 
 α, δ and the numbers are explained in `quantisation`, c, η and n in `entry_noise`, conventions in `se3`. A
