@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from .joint_information import joint_information as joint_information
     from .measure import pose_bound as pose_bound
     from .measure import pose_jacobian as pose_jacobian
+    from .measure_displaced import hcr_bound as hcr_bound
     from .measure_tiles import tile_information as tile_information
     from .scene import load_scene as load_scene
     from .selection import select_tiles as select_tiles
@@ -45,6 +46,7 @@ _HOME = {
     "fisher_information": "information",
     "JointInformation": "joint_information",
     "joint_information": "joint_information",
+    "hcr_bound": "measure_displaced",
     "pose_bound": "measure",
     "pose_jacobian": "measure",
     "InformationFilter": "information_filter",
