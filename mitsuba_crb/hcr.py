@@ -2,7 +2,7 @@
 
 Let p₀ be the image's distribution at the pose and p_i at the pose displaced by ξ_i, with Gaussian noise Σ and
 the change δ_i = μ_i − μ₀ of the noise-free image. Let y be the centre–rotation coordinates of the pose, which
-the displacement changes by Δ_i. If an estimator ŷ is unbiased at all these poses, the functions p_i/p₀ − 1 and
+the displacement changes by Δ_i. If an estimator ŷ is unbiased at all these poses, then p_i/p₀ − 1 and
 the score s = JᵀΣ⁻¹(I − μ₀) have with it the covariances Δ_i and 1, and among themselves
 
     E[s sᵀ] = F,    E[s (p_i/p₀ − 1)] = B_i = JᵀΣ⁻¹δ_i,    E[(p_i/p₀ − 1)(p_j/p₀ − 1)] = G_ij = exp(A_ij) − 1,
