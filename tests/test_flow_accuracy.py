@@ -14,7 +14,6 @@ import pytest
 from small_scenes import T, scene, texture, textured_wall, wall
 
 from mitsuba_crb import fisher_information, pose_bound, pose_jacobian
-from mitsuba_crb.errors import IntegratorError
 from mitsuba_crb.information import FisherInformation
 from mitsuba_crb.noise import Gaussian
 
@@ -103,20 +102,6 @@ def test_tiles_change_nothing_and_calls_repeat_bit_for_bit_with_contours(scenes:
 def test_flow_agrees_on_shipped_rooms(name: str, tolerance: float, scenes: Path) -> None:
     flow, fd = _informations(scenes / name / f"{name}.xml", (512, 512), size=(64, 48))
     _assert_agree(flow, fd, tolerance)
-
-
-def test_a_participating_medium_is_refused_by_name() -> None:
-    fog = {
-        "type": "cube",
-        "to_world": T().translate([0, 0, 1.5]).scale(0.5),
-        "bsdf": {"type": "null"},
-        "interior": {"type": "homogeneous", "sigma_t": {"type": "rgb", "value": 0.5}},
-    }
-    foggy = scene(wall=wall(texture()), fog=fog) | {"integrator": {"type": "volpath", "max_depth": 4}}
-    with pytest.raises(IntegratorError, match="medium: use method finite_difference"):
-        pose_jacobian(foggy, method="flow", spp=4)
-    jacobian = pose_jacobian(foggy, method="finite_difference", spp=4)
-    assert np.abs(jacobian.values).max() > 0
 
 
 def test_without_the_parallax_term_a_box_loses_its_translation(monkeypatch: pytest.MonkeyPatch) -> None:

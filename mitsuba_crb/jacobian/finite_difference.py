@@ -73,15 +73,31 @@ def jacobian(
     per_axis = (prepared or prepare(view)).steps
     values = np.empty((batches, len(pixels), 3, 6))
     image = np.zeros((len(pixels), 3))
-    for axis, step in enumerate(per_axis):
-        twist = np.zeros(6)
-        twist[axis] = step
-        plus, minus = (
-            render_pixels(
-                view, pixels, spp=spp // batches, seed=seed, batches=batches, pose=view.pose @ se3.exp(xi)
-            )
-            for xi in (twist, -twist)
+    for axis in range(6):
+        values[..., axis], mean = column(
+            view, pixels, axis, per_axis[axis], spp=spp, seed=seed, batches=batches
         )
-        values[..., axis] = (plus - minus) / (2.0 * step)
-        image += (plus + minus).mean(axis=0) / 12.0
+        image += mean / 6.0
     return values, image
+
+
+def column(
+    view: View,
+    pixels: NDArray[np.int64],
+    axis: int,
+    step: float,
+    *,
+    spp: int,
+    seed: int,
+    batches: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """dI/dξ_axis (batches, n, 3) in the camera frame, and the mean of its two renders (n, 3)."""
+    twist = np.zeros(6)
+    twist[axis] = step
+    plus, minus = (
+        render_pixels(
+            view, pixels, spp=spp // batches, seed=seed, batches=batches, pose=view.pose @ se3.exp(xi)
+        )
+        for xi in (twist, -twist)
+    )
+    return (plus - minus) / (2.0 * step), 0.5 * (plus + minus).mean(axis=0)

@@ -13,7 +13,8 @@ n·q changes by −n·ρ_a only, hence ∇·f = −(n·ρ_a)/(n·q) − 3 q̇_z/
 The filter term needs radiance only, not its derivative, so it is exact for edges, textures and shadows of any
 kind and for every integrator. Rays that escape see points at infinity, ρ_a = 0. The constant Ī_u (from a
 pilot render, the same for all batches) costs no bias: the three terms of L = 1 add up to zero.
-At rims ∇·f grows as 1/√distance: finite mean, no clamping.
+At rims ∇·f grows as 1/√distance: finite mean, no clamping. Participating media and the ellipsoids of radiance
+fields have no points to follow: rotation needs none, translation is left to finite differences.
 
 Source: design section 4.1; Zhang et al. 2020, Path-Space Differentiable Rendering, for the material form.
 """
@@ -27,8 +28,9 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import IntegratorError
+from ..errors import SensorError
 from ..information import BLOCK
+from . import finite_difference
 from .contours import Contours, find_contours, parallax_term
 from .pairs import GOLDEN, BoxPairs, PairSample, SmoothPairs, filter_pairs
 from .paths import IntegratorTracer, PathTracer, tracer
@@ -61,7 +63,8 @@ class Prepared:
 
     pairs: SmoothPairs | BoxPairs
     view_term: ViewTerm | None
-    contours: Contours
+    contours: Contours | finite_difference.Prepared
+    """Of the surfaces; or, where the integrator sees volumes, the steps of translation's differences."""
     tracer: PathTracer | IntegratorTracer
     transform: mi.Transform4f
     """World from camera."""
@@ -71,7 +74,7 @@ class Prepared:
     @property
     def block(self) -> int:
         """Side of the film blocks whose errors are independent [pixel]: one's, where no contour is shared."""
-        return BLOCK if len(self.contours.piece) else 1
+        return BLOCK if isinstance(self.contours, Contours) and len(self.contours.piece) else 1
 
 
 def prepare(view: View) -> Prepared:
@@ -79,19 +82,20 @@ def prepare(view: View) -> Prepared:
 
     Raises:
         FilmError: the reconstruction filter is not known.
-        IntegratorError: the scene holds a participating medium, in which no material point can be followed.
+        SensorError: a thin lens among participating media or radiance fields.
 
     Warns:
         BlindSpotWarning: by name, of shapes whose contours are not known.
     """
     import mitsuba as mi
 
-    if view.sensor.get_medium() is not None or any(s.is_medium_transition() for s in view.scene.shapes()):
-        raise IntegratorError(
-            "method 'flow' follows surface points and cannot follow a participating medium: use method "
-            "finite_difference"
-        )
     camera_paths = tracer(view)
+    volumes = _sees_volumes(view, camera_paths)
+    if volumes and view.sensor.needs_aperture_sample():
+        raise SensorError(
+            "a thin lens among participating media or radiance fields shows method 'flow' no surface points "
+            "to follow: use method finite_difference, or a perspective sensor"
+        )
     width, height = view.size
     film = mi.Point2f([0.0, width], [0.0, height])
     ray, _ = camera_ray(view, film, mi.Point2f(0.5, 0.5))
@@ -99,12 +103,22 @@ def prepare(view: View) -> Prepared:
     focal = np.array([width, height]) / (tangent[:, 1] - tangent[:, 0])
     return Prepared(
         filter_pairs(PixelFilter.of(view)),
-        ViewTerm.of(view, camera_paths),
-        find_contours(view),
+        None if volumes else ViewTerm.of(view, camera_paths),
+        finite_difference.prepare(view) if volumes else find_contours(view),
         camera_paths,
         opaque_transform(view.pose),
         mi.Vector2f(*(dr.opaque(mi.Float, float(value)) for value in focal)),
     )
+
+
+def _sees_volumes(view: View, camera_paths: PathTracer | IntegratorTracer) -> bool:
+    """Whether radiance may come from what is no surface; `path` and its like pass media by."""
+    volumes = any(
+        shape.is_medium_transition() or shape.class_name() in ("Ellipsoids", "EllipsoidsMesh")
+        for shape in view.scene.shapes()
+    )
+    inside = view.sensor.get_medium() is not None
+    return isinstance(camera_paths, IntegratorTracer) and (inside or volumes)
 
 
 def jacobian(
@@ -122,6 +136,7 @@ def jacobian(
         pixels: (n, 2) columns and rows; those of one film block must come in one call.
         spp: paths per pixel over all batches. Paths come in pairs, alternately along x and y, so a multiple
             of 4 per batch is best; an odd last path of a batch is not traced, a batch of one path traces two.
+            Where the integrator sees volumes, translation traces six times as many besides.
         prepared: what `prepare` returned for this view, so that many tiles prepare once.
 
     Returns:
@@ -132,7 +147,15 @@ def jacobian(
     values, image = filter_and_view_terms(
         view, prepared, pixels, baseline, spp=spp, seed=seed, batches=batches
     )
-    values += parallax_term(view, prepared.contours, pixels, baseline, spp=spp, seed=seed, batches=batches)
+    if isinstance(prepared.contours, Contours):
+        values += parallax_term(
+            view, prepared.contours, pixels, baseline, spp=spp, seed=seed, batches=batches
+        )
+    else:
+        for axis in range(3):
+            values[..., axis], _ = finite_difference.column(
+                view, pixels, axis, prepared.contours.steps[axis], spp=spp, seed=seed, batches=batches
+            )
     return values, image
 
 
