@@ -23,11 +23,12 @@ import numpy.typing as npt
 
 from . import se3
 from .errors import OutputError
+from .ustatistic import square_root, whiten
 
 if TYPE_CHECKING:
     from .bound import PoseBound
     from .information import FisherInformation, ImageJacobian
-    from .noise import NoiseModel
+    from .noise import IndependentNoise
 
 SCHEMA = "mitsuba-crb/bound/1"
 
@@ -92,10 +93,10 @@ class Gathering:
     """Takes tiles as they are measured, keeps of each what `Pictures` need, and composes them.
 
     Args:
-        noise: the model whose inverse variances weight the information; None: unit variance.
+        noise: the model whose weights give the information; None: unit variance.
     """
 
-    def __init__(self, noise: NoiseModel | None = None) -> None:
+    def __init__(self, noise: IndependentNoise | None = None) -> None:
         self._noise = noise
         self._tiles: list[tuple[npt.NDArray[Any], ...]] = []
 
@@ -113,14 +114,13 @@ class Gathering:
             batch_values: (K, n, C, 6) independent estimates of dI/dξ in the camera frame.
         """
         batches = len(batch_values)
-        total = np.sum(batch_values, axis=0)
-        squares = (total**2 - np.sum(batch_values**2, axis=0)) / (batches * (batches - 1))
-        weights = 1.0 if self._noise is None else self._noise.weights(pixels, mean)[..., None]
+        weights = np.ones(mean.shape) if self._noise is None else self._noise.weights(pixels, mean)
+        whitened = whiten(batch_values, square_root(weights), np.arange(len(pixels)))
+        squares = np.sum(whitened, axis=2) ** 2 - np.sum(whitened**2, axis=2)
         # (n, 2): translation and rotation apart, because the length scale comes later
-        density = np.sum((weights * squares).reshape(*mean.shape, 2, 3), axis=(1, 3))
-        self._tiles.append(
-            (np.array(pixels), mean.astype(np.float32), (total / batches).astype(np.float32), density)
-        )
+        density = np.sum(squares.reshape(*mean.shape, 2, 3), axis=(1, 3)) / (batches * (batches - 1))
+        values = np.mean(batch_values, axis=0).astype(np.float32)
+        self._tiles.append((np.array(pixels), mean.astype(np.float32), values, density))
 
     def pictures(
         self,
@@ -155,7 +155,7 @@ class Gathering:
 
 
 def pictures_of(
-    jacobian: ImageJacobian, information: FisherInformation, noise: NoiseModel | None = None
+    jacobian: ImageJacobian, information: FisherInformation, noise: IndependentNoise | None = None
 ) -> Pictures:
     """The pictures of a Jacobian held whole, its columns in the camera frame."""
     jacobian = jacobian.to_frame("camera")

@@ -23,17 +23,18 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from dataclasses import replace as dataclass_replace
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import se3
+from .coupled import CoupledComponents, ordered_products
 from .errors import FrameError, NoiseError, OptionError, PixelsError, RadianceError
-from .noise import NoiseModel
+from .noise import CoupledNoise, NoiseModel
 from .se3 import Array, Frame
 from .symmetric import congruence, entries, positive_part, symmetrised, unpack
-from .ustatistic import VarianceComponents, block_products, gram, pixel_products, whiten
+from .ustatistic import VarianceComponents, block_products, gram, pixel_products, square_root, whiten
 
 BLOCK = 16
 """Side [pixel] of the film blocks, on a fixed grid (x // 16, y // 16), whose pixels may share samples."""
@@ -283,7 +284,15 @@ class InformationAccumulator:
     because the variance is estimated per block. Tiles with sides that are multiples of `BLOCK` satisfy this.
     """
 
-    def __init__(self, *, batches: int, block: int = 1, sampled: bool = False, columns: int = 6) -> None:
+    def __init__(
+        self,
+        *,
+        batches: int,
+        block: int = 1,
+        sampled: bool = False,
+        columns: int = 6,
+        coupled: bool = False,
+    ) -> None:
         """Start from nothing.
 
         Args:
@@ -292,21 +301,30 @@ class InformationAccumulator:
                 the more certain the standard errors.
             sampled: also sum what the sampling variance of a random pixel subset needs (slower).
             columns: P, six of the twist and one for each nuisance parameter.
+            coupled: the noise is correlated between pixels: `add_coupled` takes the place of `add`.
 
         Raises:
             OptionError: fewer than four batches.
+            NoiseError: correlated noise and a random subset, which tells nothing of the whole image.
         """
         if batches < MINIMUM_BATCHES:
             raise OptionError(f"batches must be at least {MINIMUM_BATCHES}, not {batches}")
+        if coupled and sampled:
+            raise NoiseError(
+                "noise is correlated between pixels, so a random subset cannot stand for the whole image; "
+                "measure all pixels, or give a mask"
+            )
         self._batches = batches
         self._block = block
         self._sampled = sampled
         self._blocks: set[int] = set()
         self._count = 0
+        self._informative = False
         self._columns = columns
         self._sum = np.zeros(entries(columns))
         self._plain = np.zeros((columns, columns))
-        self._units = VarianceComponents(batches, columns)
+        components = CoupledComponents if coupled else VarianceComponents
+        self._units = components(batches, columns)
         self._pixels = self._units if block == 1 else VarianceComponents(batches, columns)
         self._pixel_squares = np.zeros((entries(columns),) * 2)
 
@@ -315,7 +333,8 @@ class InformationAccumulator:
 
         Args:
             batch_values: (K, n, C, P), independent estimates of ∂I/∂ξ, then in the nuisance parameters.
-            weights: (n, C), inverse noise variances.
+            weights: (n, C) inverse noise variances, or (n, C, C) information that pixels carry about their
+                means, see `IndependentNoise.weights`.
             pixels: (n, 2), column x and row y.
 
         Raises:
@@ -327,16 +346,18 @@ class InformationAccumulator:
         values = np.asarray(batch_values, dtype=np.float64)
         precision = np.asarray(weights, dtype=np.float64)
         positions = np.asarray(pixels)
-        self._check(values, precision, positions)
+        self._check(values, positions)
+        if precision.shape not in (values.shape[1:3], (*values.shape[1:3], values.shape[2])):
+            raise NoiseError(
+                f"weights must have shape {values.shape[1:3]}, or blocks of channels, not {precision.shape}"
+            )
         if len(positions) == 0:
             return
+        root = square_root(precision)
         order, starts = self._order(positions)
-        if not np.isfinite(values).all():
-            bad = int(np.count_nonzero(~np.isfinite(values).all(axis=(0, 2, 3))))
-            raise RadianceError(f"the Jacobian is not finite at {bad} of {len(positions)} pixels")
-        root = np.sqrt(precision)
         self._count += len(positions)
-        mean = np.multiply(values.mean(axis=0), root[:, :, None])[order]
+        self._informative = self._informative or bool(precision.any())
+        mean = whiten(values.mean(axis=0, keepdims=True), root, order)
         self._plain += gram(mean.reshape(-1, self._columns))
         if self._block > 1:
             blocks = (whiten(values, root, order[start:stop]) for start, stop in pairwise(starts))
@@ -348,6 +369,44 @@ class InformationAccumulator:
                 self._pixel_squares += gram(means.T)
                 if self._block == 1:
                     self._sum += means.sum(axis=1)
+
+    def add_coupled(self, batch_values: ArrayLike, noise: CoupledNoise, pixels: ArrayLike) -> None:
+        """Add all pixels of an image whose noise is correlated between them: they must come in one call.
+
+        Args:
+            batch_values: (K, n, C, P), as for `add`.
+            noise: solves with the covariance of these pixels' noise.
+            pixels: (n, 2), column x and row y.
+
+        Raises:
+            MitsubaCRBError: as `add`, and whatever `noise.solve` raises.
+        """
+        values = np.asarray(batch_values, dtype=np.float64)
+        positions = np.asarray(pixels)
+        self._check(values, positions)
+        if len(positions) == 0:
+            return
+        order, starts = self._order(positions)
+        self._count += len(positions)
+        columns = values[:, order].transpose(1, 2, 0, 3)
+        n, C, K, P = columns.shape
+        solved = noise.solve(positions[order], columns.reshape(n, C, K * P)).reshape(n, C, K, P)
+        self._informative = self._informative or bool(solved.any())
+        self._plain += symmetrised(
+            columns.mean(axis=2).reshape(n * C, P).T @ solved.mean(axis=2).reshape(n * C, P)
+        )
+        if self._block == 1:
+            for start in range(0, n, _CHUNK):
+                chunk = slice(start, start + _CHUNK)
+                self._sum += self._units.add(ordered_products(columns[chunk], solved[chunk])).sum(axis=1)
+        else:
+            blocks = [
+                ordered_products(
+                    columns[start:stop].reshape(1, -1, K, P), solved[start:stop].reshape(1, -1, K, P)
+                )
+                for start, stop in pairwise(starts)
+            ]
+            self._sum += self._units.add(np.concatenate(blocks, axis=-1)).sum(axis=1)
 
     def information(
         self, *, frame: Frame, variable: str, pose: ArrayLike, length_scale: float, selection: PixelSelection
@@ -380,6 +439,11 @@ class InformationAccumulator:
             raise PixelsError("no pixels were measured, so there is no information to report")
         if self._count > n or n > N:
             raise PixelsError(f"{self._count} pixels were added, {n} selected, of {N} in the image")
+        if not self._informative:
+            raise NoiseError(
+                f"the noise model leaves no information in any of {self._count} pixels: all are saturated or "
+                "ignored; change the exposure, or the variances"
+            )
         factor, covariance = 1.0, self._units.positive
         if selection.kind == "random" and n < N:
             factor, covariance = N / n, self._sampled_covariance(n, N)
@@ -418,48 +482,102 @@ class InformationAccumulator:
             self._blocks |= blocks
         return order, [*starts.tolist(), len(order)]
 
-    def _check(self, values: Array, weights: Array, pixels: NDArray[Any]) -> None:
+    def _check(self, values: Array, pixels: NDArray[Any]) -> None:
         if values.ndim != 4 or values.shape[-1] != self._columns:
             raise PixelsError(f"batch values must have shape (K, n, C, {self._columns}), not {values.shape}")
         if values.shape[0] != self._batches:
             raise OptionError(f"got {values.shape[0]} batches, expected {self._batches}")
-        if weights.shape != values.shape[1:3]:
-            raise NoiseError(f"weights must have shape {values.shape[1:3]}, not {weights.shape}")
-        if not (np.isfinite(weights).all() and (weights >= 0.0).all()):
-            raise NoiseError("the noise model gave inverse variances that are negative or not finite")
         if pixels.shape != (values.shape[1], 2) or not np.issubdtype(pixels.dtype, np.integer):
             raise PixelsError(f"pixels must be integers of shape ({values.shape[1]}, 2), not {pixels.shape}")
         if pixels.size and pixels.min() < 0:
             raise PixelsError("pixel coordinates must not be negative")
+        if not np.isfinite(values).all():
+            bad = int(np.count_nonzero(~np.isfinite(values).all(axis=(0, 2, 3))))
+            raise RadianceError(f"the Jacobian is not finite at {bad} of {len(pixels)} pixels")
 
 
-def fisher_information(jacobian: ImageJacobian, noise: NoiseModel) -> FisherInformation:
+class Accumulator(Protocol):
+    """What sums up the information of pixels: of a pose alone, or jointly with nuisance parameters."""
+
+    def add(self, batch_values: ArrayLike, weights: ArrayLike, pixels: ArrayLike) -> None:
+        """See `InformationAccumulator.add`."""
+
+    def add_coupled(self, batch_values: ArrayLike, noise: CoupledNoise, pixels: ArrayLike) -> None:
+        """See `InformationAccumulator.add_coupled`."""
+
+
+def feed(
+    accumulator: Accumulator, jacobian: ImageJacobian, noise: NoiseModel, mean: ArrayLike | None = None
+) -> None:
+    """Add a whole Jacobian under a noise model of either kind.
+
+    Args:
+        accumulator: of as many columns, and made for coupled pixels if the noise's are.
+        jacobian: of the whole image, or of the selected pixels.
+        noise: independent or correlated between pixels.
+        mean: (H, W, C) noise-free image for models that depend on it, rendered with other random numbers than
+            the Jacobian; by default the Jacobian's own image, whose Monte Carlo errors are not independent.
+
+    Raises:
+        NoiseError: the noise model does not fit the image.
+        RadianceError: the Jacobian is not finite somewhere.
+    """
+    noise.check(*jacobian.image.shape)
+    if isinstance(noise, CoupledNoise):
+        accumulator.add_coupled(jacobian.batch_values, noise, jacobian.pixels)
+        return
+    image = jacobian.image if mean is None else np.asarray(mean, dtype=np.float64)
+    if image.shape != jacobian.image.shape:
+        raise NoiseError(f"the mean has shape {image.shape}, but the image is {jacobian.image.shape}")
+    x, y = jacobian.pixels.T
+    accumulator.add(jacobian.batch_values, noise.weights(jacobian.pixels, image[y, x]), jacobian.pixels)
+
+
+def as_noise_model(noise: object) -> NoiseModel:
+    """The object itself, if it has what a noise model must have.
+
+    Raises:
+        NoiseError: it has not.
+    """
+    if not isinstance(noise, NoiseModel):
+        raise NoiseError(f"expected a noise model such as noise.Gaussian(0.01), not {noise!r}")
+    return noise
+
+
+def fisher_information(
+    jacobian: ImageJacobian, noise: NoiseModel, mean: ArrayLike | None = None
+) -> FisherInformation:
     """The Fisher information F = JᵀΣ⁻¹J of the pose, estimated without bias, in the Jacobian's frame.
+
+    Args:
+        jacobian: the image's derivative.
+        noise: noise model of the measured image.
+        mean: see `feed`.
 
     Raises:
         NoiseError: the noise model does not fit the image.
         RadianceError: the Jacobian is not finite somewhere.
         OptionError: the Jacobian has columns of nuisance parameters, see `joint.joint_information`.
     """
-    if not isinstance(noise, NoiseModel):
-        raise NoiseError(f"expected a noise model such as noise.Gaussian(0.01), not {noise!r}")
     if jacobian.parameters:
         raise OptionError(
             f"the Jacobian has columns of nuisance parameters ({', '.join(jacobian.parameters)}): use "
             "joint_information, which can marginalize them"
         )
-    noise.check(*jacobian.image.shape)
     camera = jacobian.to_frame("camera")
     accumulator = InformationAccumulator(
-        batches=len(camera.batch_values), block=camera.block, sampled=camera.selection.kind == "random"
+        batches=len(camera.batch_values),
+        block=camera.block,
+        sampled=camera.selection.kind == "random",
+        coupled=as_noise_model(noise).couples_pixels,
     )
-    accumulator.add(camera.batch_values, noise.weights(camera.pixels, camera.mean), camera.pixels)
+    feed(accumulator, camera, noise, mean)
     information = accumulator.information(
         frame="camera",
-        variable=camera.variable,
-        pose=camera.pose,
-        length_scale=camera.length_scale,
-        selection=camera.selection,
+        variable=jacobian.variable,
+        pose=jacobian.pose,
+        length_scale=jacobian.length_scale,
+        selection=jacobian.selection,
     )
     return information.to_frame(jacobian.frame)
 

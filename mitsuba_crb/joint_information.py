@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import se3
-from .errors import NoiseError, NuisanceError, PixelsError
+from .errors import NuisanceError, PixelsError
 from .identifiability import identify
 from .information import (
     BLOCK,
@@ -38,8 +38,10 @@ from .information import (
     InformationAccumulator,
     PixelSelection,
     Sums,
+    as_noise_model,
+    feed,
 )
-from .noise import NoiseModel
+from .noise import CoupledNoise, NoiseModel
 from .se3 import Array
 from .symmetric import congruence
 
@@ -170,20 +172,31 @@ class JointAccumulator:
     """
 
     def __init__(
-        self, parameters: tuple[str, ...], *, batches: int, block: int = 1, sampled: bool = False
+        self,
+        parameters: tuple[str, ...],
+        *,
+        batches: int,
+        block: int = 1,
+        sampled: bool = False,
+        coupled: bool = False,
     ) -> None:
         """Start from nothing.
 
         Args:
             parameters: names of the nuisances, in the order of their columns after the twist's six.
-            batches, block, sampled: see `InformationAccumulator`.
+            batches, block, sampled, coupled: see `InformationAccumulator`.
 
         Raises:
-            NuisanceError: per-tile nuisances with different tiles, or tiles that are no multiple of 16.
+            NuisanceError: per-tile nuisances with different tiles, with tiles that are no multiple of 16, or
+                with noise that couples tiles.
         """
         self._batches, self._block = batches, block
         self._parameters = parameters
         self._side = tile_side(parameters)
+        if coupled and self._side is not None:
+            raise NuisanceError(
+                "a nuisance per tile needs noise of independent pixels: correlated noise couples the tiles"
+            )
         self._local = {
             name: [6 + k for k, parameter in enumerate(parameters) if parameter == name]
             for name in dict.fromkeys(parameters)
@@ -193,7 +206,7 @@ class JointAccumulator:
         subsets = chain.from_iterable(combinations(self._local, r) for r in range(len(self._local) + 1))
         self._parts = {
             frozenset(subset): InformationAccumulator(
-                batches=batches, block=block, sampled=sampled, columns=count
+                batches=batches, block=block, sampled=sampled, columns=count, coupled=coupled
             )
             for subset in subsets
         }
@@ -220,6 +233,10 @@ class JointAccumulator:
                 )
             self._tiles.add(int(number))
             self._add_tile(values, precision, positions, np.flatnonzero(tile == number))
+
+    def add_coupled(self, batch_values: ArrayLike, noise: CoupledNoise, pixels: ArrayLike) -> None:
+        """Add all pixels of an image whose noise is correlated; see `InformationAccumulator.add_coupled`."""
+        self._parts[frozenset()].add_coupled(batch_values, noise, pixels)
 
     def information(
         self, *, variable: str, pose: ArrayLike, length_scale: float, selection: PixelSelection
@@ -250,24 +267,29 @@ class JointAccumulator:
             part.add(values @ G, weights, pixels)
 
 
-def joint_information(jacobian: ImageJacobian, noise: NoiseModel) -> JointInformation:
+def joint_information(
+    jacobian: ImageJacobian, noise: NoiseModel, mean: ArrayLike | None = None
+) -> JointInformation:
     """The Fisher information of the pose and of the Jacobian's nuisance parameters, without noise bias.
+
+    Args:
+        jacobian: the image's derivative, nuisance columns included.
+        noise: noise model of the measured image.
+        mean: see `information.feed`.
 
     Raises:
         NoiseError: the noise model does not fit the image.
         RadianceError: the Jacobian is not finite somewhere.
     """
-    if not isinstance(noise, NoiseModel):
-        raise NoiseError(f"expected a noise model such as noise.Gaussian(0.01), not {noise!r}")
-    noise.check(*jacobian.image.shape)
     camera = jacobian.to_frame("camera")
     accumulator = JointAccumulator(
         camera.parameters,
         batches=len(camera.batch_values),
         block=camera.block,
         sampled=camera.selection.kind == "random",
+        coupled=as_noise_model(noise).couples_pixels,
     )
-    accumulator.add(camera.batch_values, noise.weights(camera.pixels, camera.mean), camera.pixels)
+    feed(accumulator, camera, noise, mean)
     return accumulator.information(
         variable=camera.variable,
         pose=camera.pose,

@@ -24,9 +24,16 @@ from numpy.typing import NDArray
 from . import lint, llvm, subset
 from .bound import PoseBound, cramer_rao_bound
 from .errors import BlindSpotWarning, NoiseError, OptionError, PrecisionWarning, RadianceError
-from .information import BLOCK, ImageJacobian, InformationAccumulator, PixelSelection
+from .information import (
+    BLOCK,
+    Accumulator,
+    ImageJacobian,
+    InformationAccumulator,
+    PixelSelection,
+    as_noise_model,
+)
 from .jacobian.finite_difference import STEP_PIXELS
-from .noise import Gaussian, NoiseModel
+from .noise import CoupledNoise, Gaussian, IndependentNoise, NoiseModel
 from .scene import View, open_view
 
 DEFAULT_METHOD = "flow"
@@ -99,7 +106,7 @@ def pose_jacobian(scene: Any, **options: Unpack[MeasurementOptions]) -> ImageJac
 def pose_bound(
     scene: Any, noise: NoiseModel | None = None, *, prior: Any = None, **options: Unpack[MeasurementOptions]
 ) -> PoseBound:
-    """The Cramér–Rao bound on the camera's pose: streams tile by tile and never holds the Jacobian.
+    """The Cramér–Rao bound on the camera's pose, tile by tile; correlated noise needs the whole Jacobian.
 
     Args:
         scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
@@ -124,10 +131,12 @@ def pose_bound(
             run.warn_of_limits()
             prepared = time.perf_counter()
             accumulator = InformationAccumulator(
-                batches=run.batches, block=run.block, sampled=run.selection.kind == "random"
+                batches=run.batches,
+                block=run.block,
+                sampled=run.selection.kind == "random",
+                coupled=model.couples_pixels,
             )
-            for part in run.tiles():
-                accumulator.add(part.batch_values, model.weights(part.pixels, part.mean), part.pixels)
+            run.feed(accumulator, model)
             information = accumulator.information(
                 frame="camera",
                 variable=run.view.variable,
@@ -212,7 +221,7 @@ class Measurement:
     def noise(self, model: NoiseModel | None) -> tuple[NoiseModel, str]:
         """The noise model and where it came from."""
         if model is not None:
-            return model, "given"
+            return as_noise_model(model), "given"
         from .jacobian.pixels import coarse_grid
 
         pilot = _pilot(self.view, coarse_grid(self.view.size, _PILOT_GRID).reshape(-1, 2), self.seed)
@@ -262,6 +271,31 @@ class Measurement:
             block=self.block,
             provenance=self.provenance(),
         )
+
+    def feed(self, accumulator: Accumulator, noise: NoiseModel) -> None:
+        """Add the selected pixels under a noise model: tile by tile, or whole if it couples them.
+
+        Raises:
+            NoiseError: the image does not suit the model.
+            RadianceError: as `tiles`.
+        """
+        if isinstance(noise, CoupledNoise):
+            parts = list(self.tiles())
+            values = np.concatenate([part.batch_values for part in parts], axis=1)
+            accumulator.add_coupled(values, noise, np.concatenate([part.pixels for part in parts]))
+            return
+        for part in self.tiles():
+            accumulator.add(part.batch_values, self.weights(noise, part), part.pixels)
+
+    def weights(self, noise: IndependentNoise, part: TileJacobian) -> NDArray[np.float64]:
+        """The noise model's weights in a tile; where they depend on the image, on a render of its own.
+
+        The Jacobian's own image has its errors in common with it, which would bias the information.
+        """
+        if not noise.depends_on_mean:
+            return noise.weights(part.pixels, part.mean)
+        mean = _pilot(self.view, part.pixels, self.seed, max(_PILOT_SPP, self.spp))
+        return noise.weights(part.pixels, np.where(np.isfinite(mean), mean, part.mean))
 
     def tiles(self) -> Iterator[TileJacobian]:
         """The Jacobian, one tile after the other."""
@@ -343,10 +377,10 @@ def _pilot_image(view: View, seed: int, tile: int) -> NDArray[np.float64]:
     return image
 
 
-def _pilot(view: View, pixels: NDArray[np.int64], seed: int) -> NDArray[np.float64]:
+def _pilot(view: View, pixels: NDArray[np.int64], seed: int, spp: int = _PILOT_SPP) -> NDArray[np.float64]:
     from .jacobian.pixels import PILOT, render_pixels
 
-    image = render_pixels(view, pixels, spp=_PILOT_SPP, seed=seed, purpose=PILOT)
+    image = render_pixels(view, pixels, spp=spp, seed=seed, purpose=PILOT)
     return np.asarray(image[0])
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from .errors import SelectionError
 from .measure import MeasurementOptions, measurement
 from .message import message_size
-from .noise import NoiseModel
+from .noise import CoupledNoise, NoiseModel
 from .quantisation import Form, Precision
 from .tile_grid import MINIMUM_HALVED_BATCHES, TileGrid
 from .tiles import TileInformation, correlated_refusal
@@ -62,12 +62,12 @@ def tile_information(
         sampled = run.selection.kind == "random"
         grid = TileGrid(run.view.size, tile_size, batches=run.batches, sampled=sampled)
         model, _ = run.noise(noise)
-        if getattr(model, "couples_pixels", False):
+        if isinstance(model, CoupledNoise):
             raise SelectionError(correlated_refusal([name]))
         model.check(run.mask.shape[0], run.mask.shape[1], 3)
         run.warn_of_limits()
         for part in run.tiles():
-            grid.add(part.batch_values, model.weights(part.pixels, part.mean), part.pixels)
+            grid.add(part.batch_values, run.weights(model, part), part.pixels)
         select, report = grid.halves(
             np.repeat([run.length_scale, 1.0], 3),
             factor=run.selection.total / run.selection.selected if sampled else 1.0,

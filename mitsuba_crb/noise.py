@@ -1,7 +1,8 @@
-"""Noise models: what the camera adds to each pixel's linear radiance, as inverse variances.
+"""Noise models: what the camera adds to each pixel's linear radiance.
 
-All models here are Gaussian with independent pixels and channels, so Σ⁻¹ is diagonal and streams tile
-by tile. Variances are in [radiance²]; a weight is one entry of Σ⁻¹, [1 / radiance²].
+A model is described by the Fisher information that a measured pixel carries about its noise-free mean, its
+weight [1 / radiance²]; for Gaussian noise, Σ⁻¹. Independent pixels have one each, so that an image streams
+tile by tile; correlated ones have Σ⁻¹ as a whole. Variances are in [radiance²].
 """
 
 from __future__ import annotations
@@ -16,13 +17,17 @@ from numpy.typing import ArrayLike, NDArray
 from .errors import NoiseError
 
 
-@runtime_checkable
-class NoiseModel(Protocol):
-    """What a noise model must offer; write your own class with these members to add one."""
+class _Describable(Protocol):
+    """What every noise model has."""
 
     @property
     def description(self) -> str:
         """One short phrase for tables."""
+
+    @property
+    def depends_on_mean(self) -> bool:
+        """Whether the noise depends on the image, whose mean then comes from a render of its own."""
+        return False
 
     def check(self, height: int, width: int, channels: int) -> None:
         """Refuse an image that this model cannot describe, before anything is rendered.
@@ -31,23 +36,58 @@ class NoiseModel(Protocol):
             NoiseError: the number of channels or the image's size does not match.
         """
 
+    def to_dict(self) -> dict[str, Any]:
+        """The model's parameters as JSON-able values."""
+
+
+@runtime_checkable
+class IndependentNoise(_Describable, Protocol):
+    """Noise that is independent between pixels; inherit from it, or have its members, to add a model."""
+
+    @property
+    def couples_pixels(self) -> bool:
+        """No: the information of pixels adds."""
+        return False
+
     def weights(self, pixels: NDArray[np.integer], mean: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Inverse variances at some pixels.
+        """The Fisher information that measured pixels carry about their noise-free radiance.
 
         Args:
             pixels: (n, 2), column x and row y.
             mean: (n, C), the noise-free linear radiance there.
 
         Returns:
-            (n, C) [1 / radiance²].
+            (n, C) for independent channels, or (n, C, C) [1 / radiance²]; for Gaussian noise, Σ⁻¹.
         """
 
-    def to_dict(self) -> dict[str, Any]:
-        """The model's parameters as JSON-able values."""
+
+@runtime_checkable
+class CoupledNoise(_Describable, Protocol):
+    """Gaussian noise that is correlated between pixels; inherit from it to add a model."""
+
+    @property
+    def couples_pixels(self) -> bool:
+        """Yes: a pixel's information depends on which others are measured."""
+        return True
+
+    def solve(self, pixels: NDArray[np.integer], values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(Σ_PP)⁻¹ times some columns, Σ_PP the covariance of the noise of the selected pixels P.
+
+        Args:
+            pixels: (n, 2), column x and row y, none twice.
+            values: (n, C, m).
+
+        Returns:
+            (n, C, m), in units of `values` / [radiance²].
+        """
+
+
+NoiseModel = IndependentNoise | CoupledNoise
+"""Either kind, for `isinstance` and annotations."""
 
 
 @dataclass(frozen=True)
-class Gaussian:
+class Gaussian(IndependentNoise):
     """The same independent Gaussian noise in every pixel and channel: Σ = σ² 1."""
 
     sigma: float
@@ -74,7 +114,7 @@ class Gaussian:
 
 
 @dataclass(frozen=True)
-class PerChannel:
+class PerChannel(IndependentNoise):
     """Independent Gaussian noise with a standard deviation for each channel."""
 
     sigmas: tuple[float, ...]
@@ -115,7 +155,7 @@ class PerChannel:
 
 
 @dataclass(frozen=True, eq=False)
-class PerPixel:
+class PerPixel(IndependentNoise):
     """Independent Gaussian noise with its own variance at every pixel, or at every pixel and channel."""
 
     variance: NDArray[np.float64]

@@ -28,6 +28,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from .errors import NoiseError
 from .se3 import Array
 from .symmetric import entries, pack, positive_part, symmetrised, triangle
 
@@ -81,9 +82,33 @@ class VarianceComponents:
         return self._parts()[2]
 
 
+def square_root(weights: Array) -> Array:
+    """√W, symmetric, of pixels' weights (n, C), or of their blocks (n, C, C).
+
+    Raises:
+        NoiseError: a weight or an eigenvalue is negative, or not finite.
+    """
+    if not np.isfinite(weights).all() or (weights.ndim == 2 and (weights < 0.0).any()):
+        raise NoiseError("the noise model gave inverse variances that are negative or not finite")
+    if weights.ndim == 2:
+        return np.asarray(np.sqrt(weights), dtype=np.float64)
+    values, vectors = np.linalg.eigh(symmetrised(weights))
+    if (values < -1e-9 * np.abs(values).max(initial=0.0, axis=1, keepdims=True)).any():
+        raise NoiseError(
+            f"the noise model gave a pixel's channels an information with the eigenvalue {values.min():.3g}; "
+            "none may be negative"
+        )
+    root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    return np.asarray(root @ vectors.swapaxes(1, 2), dtype=np.float64)
+
+
 def whiten(values: Array, root: Array, index: NDArray[np.intp]) -> Array:
-    """√w J_k of some pixels, (m, C, K, P), from (K, n, C, P) and √w (n, C)."""
-    return np.multiply(values[:, index].transpose(1, 2, 0, 3), root[index][:, :, None, None], order="C")
+    """√W J_k of some pixels, (m, C, K, P), from (K, n, C, P) and √W, (n, C) or blocks (n, C, C)."""
+    columns = values[:, index].transpose(1, 2, 0, 3)
+    if root.ndim == 2:
+        return np.multiply(columns, root[index][:, :, None, None], order="C")
+    m, C, K, P = columns.shape
+    return np.asarray(root[index] @ columns.reshape(m, C, K * P)).reshape(m, C, K, P)
 
 
 def gram(rows: Array) -> Array:
