@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from ..information import BLOCK
-from .pixels import download, lane_sampler, move_ray, opaque_transform, radiance, upload
+from .pixels import download, lane_sampler, move_ray, opaque_transform, radiance, upload, widened
 from .silhouettes import ASIDE, Contours, find_contours
 
 if TYPE_CHECKING:
@@ -231,8 +231,8 @@ def _radiance(
     """L_bg of each sample (n, 3), one path each."""
     import mitsuba as mi
 
-    block, number = upload(mi.UInt32, blocks[samples.owner]), upload(mi.UInt32, samples.number)
+    block, number = (upload(mi.UInt32, widened(x)) for x in (blocks[samples.owner], samples.number))
     ray, importance = contours.ray(placed.film - ASIDE * placed.normal, samples.aperture)
     sampler = lane_sampler(block, number, seed, PATHS)
     color = importance * radiance(view, sampler, move_ray(ray, opaque_transform(contours.pose)))
-    return download(color).T
+    return download(color).T[: len(samples.number)]

@@ -68,6 +68,11 @@ def upload(kind: Any, values: NDArray[Any]) -> Any:
     return kind(aligned)
 
 
+def widened(rows: NDArray[Any]) -> NDArray[Any]:
+    """Rows (n, …) of n lanes, a lone one twice: Dr.Jit makes one entry a scalar, in a new kernel."""
+    return np.repeat(rows, 2, axis=0) if len(rows) == 1 else rows
+
+
 def download(value: Any) -> NDArray[np.float64]:
     """A Dr.Jit array of d components as (d, n) float64.
 
@@ -252,7 +257,8 @@ def render_pixels(
     """
     import mitsuba as mi
 
-    pixel, batch, centre = lanes(view, pixels, batches)
+    wide = widened(pixels)
+    pixel, batch, centre = lanes(view, wide, batches)
     transform = opaque_transform(view.pose if pose is None else pose)
     total = sum_samples(
         view,
@@ -262,7 +268,8 @@ def render_pixels(
         transform,
         dr.opaque(mi.UInt32, spp),
     )
-    return download(total).reshape(3, len(pixels), batches).transpose(2, 1, 0) / spp
+    values = download(total).reshape(3, len(wide), batches).transpose(2, 1, 0) / spp
+    return values[:, : len(pixels)]
 
 
 @dr.syntax  # type: ignore[untyped-decorator]

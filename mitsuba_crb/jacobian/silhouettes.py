@@ -24,7 +24,7 @@ from ..information import BLOCK
 from .curves import EDGE, Curves, Lens, Placed, bounds, cut, place
 from .edges import EdgeTable
 from .paths import first_hit
-from .pixels import PixelFilter, camera_ray, download, move_ray, opaque_transform, upload
+from .pixels import PixelFilter, camera_ray, download, move_ray, opaque_transform, upload, widened
 from .surfaces import edge_table, first_faces, smooth_curves, without_contours
 
 if TYPE_CHECKING:
@@ -132,13 +132,16 @@ class Contours:
         known = number < len(self.first_face)
         start = np.where(known, self.first_face[np.where(known, number, 0)], -1)
         face = np.where(start < 0, -1, start + np.array(hit.prim_index, dtype=np.int64))
-        return np.array(inverse_depth, dtype=np.float64), face
+        return np.array(inverse_depth, dtype=np.float64)[: len(film)], face[: len(film)]
 
     def ray(self, film: Floats, aperture: Floats) -> tuple[mi.Ray3f, mi.Color3f]:
-        """Rays in the camera frame through film points (n, 2) and lens samples (n, 2), and their weights."""
+        """Rays in the camera frame through film points (n, 2) and lens samples (n, 2), and their weights.
+
+        As many as `widened` makes of n.
+        """
         import mitsuba as mi
 
-        x, y, s, t = (upload(mi.Float, a) for a in (*film.T, *aperture.T))
+        x, y, s, t = (upload(mi.Float, a) for a in (*widened(film).T, *widened(aperture).T))
         return camera_ray(self.view, mi.Point2f(x, y), mi.Point2f(s, t))
 
 
