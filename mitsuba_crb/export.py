@@ -23,10 +23,15 @@ import numpy.typing as npt
 
 from . import se3
 from .errors import OutputError
+from .identifiability import weakest_direction
+from .pixel_information import along, pixel_information
+from .significance import identified
+from .symmetric import pack
 from .ustatistic import square_root, whiten
 
 if TYPE_CHECKING:
     from .bound import PoseBound
+    from .identifiability import PoseDirection
     from .information import FisherInformation, ImageJacobian
     from .noise import IndependentNoise
 
@@ -35,6 +40,9 @@ SCHEMA = "mitsuba-crb/bound/1"
 COLUMN_NAMES = ("dI_drho_x", "dI_drho_y", "dI_drho_z", "dI_dphi_x", "dI_dphi_y", "dI_dphi_z")
 """EXR layers of the six Jacobian columns, in twist order: translation [radiance / scene unit], then
 rotation [radiance / rad]. The channels of a layer are `R`, `G`, `B`, as in `dI_drho_x.R`."""
+
+SHARE_NAME = "weakest_share"
+"""EXR layer of each pixel's share of the information about the weakest direction, with channel `Y`."""
 
 _BREAK = re.compile(r",\n\s*")
 _PROVENANCE_KEYS = (
@@ -81,6 +89,10 @@ class Pictures:
     information: npt.NDArray[np.float64]
     """(H, W) each pixel's unbiased share of the trace of the Fisher information in the camera frame with
     translation scaled by the length scale; negative by chance where there is hardly any."""
+    weakest_share: npt.NDArray[np.float64]
+    """(H, W) each pixel's share of the information about `weakest`, without bias; NaN if nothing is seen."""
+    weakest: PoseDirection | None
+    """The direction that the image sees worst but does see."""
     frame: Literal["camera", "world"]
     """Frame of `columns`."""
     pose: npt.NDArray[np.float64]
@@ -121,6 +133,10 @@ class Gathering:
         density = np.sum(squares.reshape(*mean.shape, 2, 3), axis=(1, 3)) / (batches * (batches - 1))
         values = np.mean(batch_values, axis=0).astype(np.float32)
         self._tiles.append((np.array(pixels), mean.astype(np.float32), values, density))
+        weights = np.ones_like(mean) if self._noise is None else self._noise.weights(pixels, mean)
+        values = np.mean(batch_values, axis=0).astype(np.float32)
+        own = pixel_information(batch_values, weights)
+        self._tiles.append((np.array(pixels), mean.astype(np.float32), values, own))
 
     def pictures(
         self,
@@ -142,16 +158,23 @@ class Gathering:
         channels = self._tiles[0][1].shape[1] if self._tiles else 3
         image = np.full((height, width, channels), np.nan, np.float32)
         columns = np.full((height, width, channels, 6), np.nan, np.float32)
-        density = np.full((height, width), np.nan)
+        density, share = np.full((2, height, width), np.nan)
+        found = identified(information)
+        weakest = weakest_direction(found, information.pose, information.length_scale)
         selection, length = information.selection, information.length_scale
+        diagonal = pack(np.diag(information.scale**2))
         scale = (selection.total / selection.selected if selection.kind == "random" else 1.0) / variance
         turn = np.eye(6) if frame == "camera" else se3.adjoint(se3.inverse(information.pose))
-        for pixels, mean, values, squares in self._tiles:
+        for pixels, mean, values, own in self._tiles:
             x, y = pixels.T
             image[y, x] = mean
             columns[y, x] = values @ turn  # dI/dξ_world = dI/dξ_camera · Ad(camera_from_world)
-            density[y, x] = scale * (squares @ (length**2, 1.0))
-        return Pictures(image, columns, density, frame, information.pose, length)
+            density[y, x] = scale * (own @ diagonal)
+            if weakest is not None:
+                share[y, x] = along(own, weakest.direction * information.scale)
+        if weakest is not None:
+            share /= np.nansum(share)
+        return Pictures(image, columns, density, share, weakest, frame, information.pose, length)
 
 
 def pictures_of(
@@ -260,6 +283,9 @@ def write_exr(
 ) -> None:
     """Write the image (`R`, `G`, `B`) and the six columns (`dI_drho_x.R` ... `dI_dphi_z.B`) in float32.
 
+    The channel `weakest_share.Y` is each pixel's share of the information about the weakest direction that is
+    seen; the header entries `weakest` and `weakest_direction` say which one that is.
+
     Args:
         path: the file to write.
         pictures: what to write; pixels that were not measured are NaN in every channel.
@@ -271,7 +297,12 @@ def write_exr(
     for axis, name in enumerate(COLUMN_NAMES):
         for channel, plane in zip("RGB", np.moveaxis(pictures.columns[..., axis], -1, 0), strict=True):
             channels[f"{name}.{channel}"] = plane
-    header = {
+    header: dict[str, Any] = {}
+    if pictures.weakest is not None:
+        channels[f"{SHARE_NAME}.Y"] = pictures.weakest_share.astype(np.float32)
+        header["weakest"] = pictures.weakest.description
+        header["weakest_direction"] = " ".join(f"{v:.9g}" for v in pictures.weakest.direction)
+    header |= {
         **(attributes or {}),
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,

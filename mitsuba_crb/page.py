@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -36,7 +37,9 @@ _WORLD_AXES = ("world x", "world y", "world z")
 
 # inches
 _WIDTH, _LEFT, _RIGHT, _GAP, _BAR_GAP = 16.0, 0.4, 1.0, 0.2, 1.2
-_HEADER, _CAPTION, _PANEL, _PANEL_GAP = 0.85, 0.55, 1.85, 0.55
+_HEADER, _CAPTION, _PANEL, _PANEL_GAP = 0.85, 0.55, 1.35, 0.55
+_HEADS = 1.0  # two lines above the ellipsoids
+_WORDS = 0.6  # below the weakest direction's picture, and below the ellipsoids
 _BAR = (0.12, 0.14)  # distance and width of a colour bar
 _TALLEST = 1.2  # a picture's box, in its widths
 
@@ -46,15 +49,15 @@ Place = Callable[[float, float, float, float], "Axes"]
 def bound_figure(bound: PoseBound, pictures: Pictures, *, sigma: float = 1.0) -> Figure:
     """The whole story of a bound on one page.
 
-    Render and information map on the left, the six Jacobian columns beside them (one colour scale for
-    translation, one for rotation), the position and rotation ellipsoids at `sigma` standard deviations
-    below.
+    Render, information map and the pixels' shares in the weakest direction on the left, the six Jacobian
+    columns beside them (one colour scale for translation, one for rotation), the position and rotation
+    ellipsoids at `sigma` standard deviations below.
     """
     height, width = pictures.image.shape[:2]
     box = (_WIDTH - _LEFT - _RIGHT - _BAR_GAP - 2 * _GAP) / 4
     high = box * min(height / width, _TALLEST)
     wide = high * width / height
-    total = _HEADER + 2 * (high + _CAPTION) + _PANEL + 1.35
+    total = _HEADER + 2 * (high + _CAPTION) + max(_CAPTION + high, _HEADS + _PANEL) + _WORDS
     figure = Figure(figsize=(_WIDTH, total), facecolor="white")
     FigureCanvasAgg(figure)
 
@@ -80,8 +83,7 @@ def bound_figure(bound: PoseBound, pictures: Pictures, *, sigma: float = 1.0) ->
         drawn = draw_information(grid[1][0], pictures.information)
         figure.colorbar(drawn, cax=place_bar(0, 1)).ax.tick_params(which="both", labelsize=8)
     else:
-        draw_picture(grid[1][0], np.full((height, width), np.nan))
-        grid[1][0].text(width / 2, height / 2, "none", ha="center", va="center", color=MUTED)
+        _empty(grid[1][0], (height, width))
 
     names = _CAMERA_AXES if pictures.frame == "camera" else _WORLD_AXES
     motions = ((r"\rho", "translation along", "scene unit"), (r"\varphi", "rotation about", "rad"))
@@ -93,7 +95,9 @@ def bound_figure(bound: PoseBound, pictures: Pictures, *, sigma: float = 1.0) ->
             _caption(ax, name, f"{motion} {names[axis]}", wide)
         _signed_bar(figure, drawn, place_bar(3, row), f"radiance / {unit}")
 
-    _ellipsoids(place, bound, tops[1] + high, sigma)
+    top = tops[1] + high
+    _weakest(place, pictures, (lefts[0], top + _CAPTION, wide, high))
+    _ellipsoids(place, bound, _LEFT + box + _BAR_GAP - 0.15, top, sigma)
     return figure
 
 
@@ -151,21 +155,43 @@ def _title(figure: Figure, bound: PoseBound, pictures: Pictures, total: float) -
     figure.text(left, 1 - 0.58 / total, summary, fontsize=10.5, color=MUTED, va="top")
 
 
-def _ellipsoids(place: Place, bound: PoseBound, top: float, sigma: float) -> None:
+def _weakest(place: Place, pictures: Pictures, box: tuple[float, float, float, float]) -> None:
+    """Where the information about the weakest direction is, and that direction in words."""
+    left, top, wide, high = box
+    ax = place(left, top, wide, high)
+    _caption(ax, "Weakest direction", f"share per {MAP_BLOCK}×{MAP_BLOCK} block", wide)
+    if pictures.weakest is None:
+        _empty(ax, pictures.image.shape[:2])
+        return
+    drawn = draw_information(ax, pictures.weakest_share)
+    bar = place(left + wide + _BAR[0], top, _BAR[1], high)
+    ax.figure.colorbar(drawn, cax=bar).ax.tick_params(which="both", labelsize=8)
+    words = textwrap.fill(pictures.weakest.description, int(18 * max(wide, 2.5)))
+    ax.text(0, -0.03, words, transform=ax.transAxes, va="top", fontsize=8, color=MUTED)
+
+
+def _empty(ax: Axes, shape: tuple[int, ...]) -> None:
+    height, width = shape
+    draw_picture(ax, np.full((height, width), np.nan))
+    ax.text(width / 2, height / 2, "none", ha="center", va="center", color=MUTED)
+
+
+def _ellipsoids(place: Place, bound: PoseBound, left: float, top: float, sigma: float) -> None:
     """Two groups of three square panels, each group under a line with its standard deviations."""
-    step = (_WIDTH - _LEFT - 0.15) / 6
+    step = (_WIDTH - left - 0.15) / 6
     heads: tuple[tuple[Literal["position", "rotation"], str, npt.NDArray[np.float64], str], ...] = (
         ("position", "Position along world axes", bound.position_std, ""),
         ("rotation", "Rotation about camera axes", bound.rotation_std_deg, "°"),
     )
     for group, (kind, head, deviations, unit) in enumerate(heads):
-        lefts = [_LEFT + (3 * group + panel) * step + _PANEL_GAP for panel in range(3)]
-        panels = [place(left, top + 0.75, _PANEL, _PANEL) for left in lefts]
+        lefts = [left + (3 * group + panel) * step + 0.7 * _PANEL_GAP for panel in range(3)]
+        panels = [place(left, top + _HEADS, _PANEL, _PANEL) for left in lefts]
         draw_ellipsoid(panels, bound, kind, sigma=sigma)
         numbers = ", ".join(
             f"{name} {f'{value:.2g}{unit}' if np.isfinite(value) else '∞ (unseen)'}"
             for name, value in zip(AXIS_NAMES[kind], deviations, strict=True)
         )
-        title = panels[0].set_title(f"{head}, {sigma:g}σ", loc="left", fontsize=12, pad=8)
-        title.set_x(0)
-        panels[2].set_title(f"σ: {numbers}", loc="right", fontsize=9, color=MUTED, pad=8)
+        panels[0].set_title(f"{head}, {sigma:g}σ", loc="left", fontsize=12, pad=24)
+        panels[0].annotate(
+            f"σ: {numbers}", (0, 1), (0, 8), "axes fraction", "offset points", fontsize=9, color=MUTED
+        )

@@ -106,7 +106,8 @@ def test_exr_holds_image_and_named_columns(view, tmp_path):
     write_exr(path, pictures_of(view, bound.information), {"scene": "relief.xml", "spp": 64})
     with OpenEXR.File(str(path), separate_channels=True) as file:
         channels, header = file.channels(), file.header()
-        assert set(channels) == {"R", "G", "B"} | {f"{n}.{c}" for n in COLUMN_NAMES for c in "RGB"}
+        columns = {f"{n}.{c}" for n in COLUMN_NAMES for c in "RGB"}
+        assert set(channels) == {"R", "G", "B", "weakest_share.Y"} | columns
         for c, name in enumerate("RGB"):
             assert channels[name].pixels.dtype == np.float32
             np.testing.assert_array_equal(channels[name].pixels, view.image[..., c].astype(np.float32))
@@ -119,6 +120,21 @@ def test_exr_holds_image_and_named_columns(view, tmp_path):
         np.testing.assert_array_equal(header["world_from_camera"], view.pose)
         assert header["length_scale"] == pytest.approx(view.length_scale)
         assert header["scene"] == "relief.xml"
+        assert channels["weakest_share.Y"].pixels.sum() == pytest.approx(1.0, rel=1e-4)
+        assert header["weakest"] == bound.weakest.description
+        written = [float(word) for word in header["weakest_direction"].split()]
+        np.testing.assert_allclose(written, bound.weakest.direction, rtol=1e-6, atol=1e-9)
+
+
+def test_an_image_that_shows_nothing_has_no_weakest_direction_in_the_exr(tmp_path):
+    view = synthetic_view.jacobian(unseen=(0, 1, 2, 3, 4, 5))
+    pictures = pictures_of(view, synthetic_view.bound(view).information)
+    assert pictures.weakest is None
+    assert np.all(np.isnan(pictures.weakest_share))
+    write_exr(tmp_path / "view.exr", pictures)
+    with OpenEXR.File(str(tmp_path / "view.exr"), separate_channels=True) as file:
+        assert "weakest_share.Y" not in file.channels()
+        assert "weakest" not in file.header()
 
 
 def test_unmeasured_pixels_are_nan(tmp_path):
