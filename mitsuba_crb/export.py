@@ -27,7 +27,6 @@ from .identifiability import weakest_direction
 from .pixel_information import along, pixel_information
 from .significance import identified
 from .symmetric import pack
-from .ustatistic import square_root, whiten
 
 if TYPE_CHECKING:
     from .bound import PoseBound
@@ -125,14 +124,6 @@ class Gathering:
             mean: (n, C) the image there.
             batch_values: (K, n, C, 6) independent estimates of dI/dξ in the camera frame.
         """
-        batches = len(batch_values)
-        weights = np.ones(mean.shape) if self._noise is None else self._noise.weights(pixels, mean)
-        whitened = whiten(batch_values, square_root(weights), np.arange(len(pixels)))
-        squares = np.sum(whitened, axis=2) ** 2 - np.sum(whitened**2, axis=2)
-        # (n, 2): translation and rotation apart, because the length scale comes later
-        density = np.sum(squares.reshape(*mean.shape, 2, 3), axis=(1, 3)) / (batches * (batches - 1))
-        values = np.mean(batch_values, axis=0).astype(np.float32)
-        self._tiles.append((np.array(pixels), mean.astype(np.float32), values, density))
         weights = np.ones_like(mean) if self._noise is None else self._noise.weights(pixels, mean)
         values = np.mean(batch_values, axis=0).astype(np.float32)
         own = pixel_information(batch_values, weights)

@@ -20,7 +20,7 @@ from .information import InformationAccumulator, PixelSelection
 from .measure import Measurement, MeasurementOptions, measurement
 from .noise import Gaussian, NoiseModel, PerChannel, PerPixel
 from .se3 import Array
-from .ustatistic import gram, whiten
+from .ustatistic import gram, square_root, whiten
 
 MOTIONS_PIXELS = (0.5, 2.0, 8.0, 32.0, 128.0)
 """Image motions of the default displacements, up to half of the image's width [pixel]."""
@@ -98,7 +98,7 @@ class _Sums:
         """Add pixels: J (K, n, C, 6), δ (K, n, C, m), the image (n, C), and inverse variances (n, C)."""
         K = self._batches
         columns = np.concatenate([jacobian, changes], axis=-1)
-        whitened = whiten(columns, np.sqrt(weights), np.arange(len(pixels)))
+        whitened = whiten(columns, square_root(weights), np.arange(len(pixels)))
         P = whitened.shape[-1]
         each = sum(gram(whitened[:, :, k].reshape(-1, P)) for k in range(K))
         self._gram += (gram(whitened.sum(axis=2).reshape(-1, P)) - each) / (K * (K - 1))

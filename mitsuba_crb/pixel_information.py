@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from .errors import OptionError
+from .errors import NoiseError, OptionError
 from .information import ImageJacobian, fisher_information
-from .noise import NoiseModel
+from .noise import IndependentNoise
 from .se3 import Array
 from .symmetric import pack
-from .ustatistic import pixel_products, whiten
+from .ustatistic import pixel_products, square_root, whiten
 
 _CHUNK = 4096  # pixels whose products are held at once
 
@@ -28,9 +28,9 @@ def pixel_information(batch_values: Array, weights: Array) -> Array:
 
     Args:
         batch_values: (K, n, C, 6), independent estimates of ∂I/∂ξ.
-        weights: (n, C), inverse noise variances.
+        weights: (n, C), or (n, C, C) for noise that mixes a pixel's channels.
     """
-    root = np.sqrt(weights)
+    root = square_root(weights)
     starts = range(0, len(root), _CHUNK)
     parts = (np.arange(start, min(start + _CHUNK, len(root))) for start in starts)
     products = [pixel_products(whiten(batch_values, root, part)).mean(axis=0).T for part in parts]
@@ -43,7 +43,7 @@ def along(information: Array, direction: Array) -> Array:
     return np.asarray(information @ weight, dtype=np.float64)
 
 
-def information_share(jacobian: ImageJacobian, noise: NoiseModel, direction: Array) -> Array:
+def information_share(jacobian: ImageJacobian, noise: IndependentNoise, direction: Array) -> Array:
     """Each pixel's share of the information about one direction, (H, W); NaN where it was not measured.
 
     Args:
@@ -54,8 +54,10 @@ def information_share(jacobian: ImageJacobian, noise: NoiseModel, direction: Arr
 
     Raises:
         OptionError: a direction of the wrong shape, or one that the image does not see.
-        NoiseError: the noise model does not fit the image.
+        NoiseError: the noise model does not fit the image, or couples pixels, which then have no shares.
     """
+    if getattr(noise, "couples_pixels", False):
+        raise NoiseError("this noise couples pixels: what one of them tells depends on the others")
     v = np.asarray(direction, dtype=np.float64)
     if v.shape != (6,) or not np.isfinite(v).all() or not v.any():
         raise OptionError(f"a direction is six finite numbers, not all zero; got {direction!r}")
