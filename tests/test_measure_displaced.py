@@ -11,7 +11,7 @@ from mitsuba_crb.errors import NoiseError, OptionError
 from mitsuba_crb.jacobian.pixels import render_pixels
 from mitsuba_crb.measure import pose_bound
 from mitsuba_crb.measure_displaced import hcr_bound
-from mitsuba_crb.noise import Gaussian
+from mitsuba_crb.noise import Gaussian, IndependentNoise
 from mitsuba_crb.scene import open_view
 
 NOISE = Gaussian(0.05)
@@ -93,8 +93,9 @@ def test_displacements_that_are_none_are_named(displacements, words):
 
 
 def test_noise_that_is_not_gaussian_is_refused():
-    class Other:
+    class Other(IndependentNoise):
         description = "other"
+        depends_on_mean = False
 
         def check(self, height, width, channels):
             pass
