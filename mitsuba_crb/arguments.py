@@ -59,12 +59,17 @@ def parse_pose(text: str | None) -> npt.NDArray[np.float64] | None:
     if file is None:
         return se3.pose_from_vector(text)
     try:
-        return _as_pose(_read(file))
+        return as_pose(_read(file))
     except PoseError as error:
         raise PoseError(f"--pose {file}: {error}") from error
 
 
-def _as_pose(values: Any) -> npt.NDArray[np.float64]:
+def as_pose(values: Any) -> npt.NDArray[np.float64]:
+    """A pose, 4x4, from nested lists of 16 numbers, or from the seven x y z qx qy qz qw.
+
+    Raises:
+        PoseError: something else, or no rigid motion.
+    """
     from . import se3
 
     try:

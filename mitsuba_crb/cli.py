@@ -55,6 +55,13 @@ Define = Annotated[
     list[str] | None,
     typer.Option("-D", metavar="name=value", help="Set one of the scene's <default>s; repeatable."),
 ]
+Config = Annotated[
+    Path, typer.Argument(metavar="CONFIG.toml", help="Who looks where: see scenes/warehouse/warehouse.toml.")
+]
+Workers = Annotated[
+    int | None, typer.Option(metavar="N", help="Processes that render; default: one per agent and core.")
+]
+JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write everything as JSON.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
 
 
@@ -201,9 +208,7 @@ def bound(
         Literal["camera", "world"],
         typer.Option(help="Of the matrices and Jacobian columns; the standard deviations do not change."),
     ] = "camera",
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write everything as JSON.")
-    ] = None,
+    json_file: JsonFile = None,
     exr_file: Annotated[
         Path | None,
         typer.Option("--exr", metavar="FILE", help="Write the image and six Jacobian columns as OpenEXR."),
@@ -311,6 +316,83 @@ def check(
             result = check_jacobian(load_scene(scene, **defines), methods=methods, **options)
         print_check(_console(), result, texts)
         return int(result.exit_code)
+
+
+@app.command()
+def fuse(
+    config: Config,
+    workers: Workers = None,
+    json_file: JsonFile = None,
+    debug: Debug = False,
+) -> None:
+    """What several agents know together about their common body's pose."""
+    with foreseen(debug):
+        from .team import load_team
+
+        team = load_team(config)
+        _check_targets({"--json": json_file}, [config])
+
+        from .export import fusion_document, write_json
+        from .report import print_fusion, progress
+        from .team_measure import fuse_team
+
+        with progress() as advance:
+            result = fuse_team(team, workers=workers, on_agent=advance)
+        try:
+            if json_file is not None:
+                write_json(json_file, fusion_document(team, result))
+        finally:
+            print_fusion(_console(), team, result)
+
+
+@app.command()
+def select(
+    config: Config,
+    budget: Annotated[int | None, typer.Option(metavar="B", help="Tiles in total.")] = None,
+    per_agent: Annotated[
+        int | None,
+        typer.Option("--per-agent", metavar="b", help="Tiles of each agent, in place of the file's budgets."),
+    ] = None,
+    size: Annotated[int | None, typer.Option("--bytes", metavar="N", help="Bytes in total.")] = None,
+    objective: Annotated[
+        Literal["logdet", "trace", "lambda_min"], typer.Option(help="What the tiles maximise.")
+    ] = "logdet",
+    workers: Workers = None,
+    json_file: JsonFile = None,
+    plot_folder: Annotated[
+        Path | None,
+        typer.Option(
+            "--plot", metavar="FOLDER", help="Write a picture per agent, and the curve over budgets, as PNG."
+        ),
+    ] = None,
+    debug: Debug = False,
+) -> None:
+    """Which image tiles several agents should send under a budget."""
+    with foreseen(debug):
+        from .team import load_team
+        from .tiles import Budget
+
+        team = load_team(config)
+        limits = Budget(tiles=budget, tiles_per_agent=per_agent, bytes=size)
+        _check_targets({"--json": json_file}, [config])
+
+        from .export import check_folder, selection_document, write_json
+        from .report import print_selection, progress
+        from .team_measure import select_team
+
+        if plot_folder is not None:
+            check_folder(plot_folder, "--plot")
+        with progress() as advance:
+            result = select_team(team, limits, objective=objective, workers=workers, on_agent=advance)
+        try:
+            if json_file is not None:
+                write_json(json_file, selection_document(team, result))
+            if plot_folder is not None:
+                from .team_page import write_selection_plots
+
+                write_selection_plots(plot_folder, result)
+        finally:
+            print_selection(_console(), team, result)
 
 
 @app.command()

@@ -71,6 +71,14 @@ class OutputError(MitsubaCRBError):
     """An output file cannot be written; checked before anything is rendered."""
 
 
+class ConfigError(MitsubaCRBError):
+    """A team's file cannot be read, or has a key or a value that means nothing."""
+
+
+class WorkerError(MitsubaCRBError):
+    """A process that measures an agent ended before it had answered."""
+
+
 class SelectionError(MitsubaCRBError):
     """Tiles cannot be chosen: a budget, a tile, an agent or the starting information is at fault."""
 

@@ -33,8 +33,13 @@ if TYPE_CHECKING:
     from .identifiability import PoseDirection
     from .information import FisherInformation, ImageJacobian
     from .noise import IndependentNoise
+    from .selection import TileSelection
+    from .team import Team
+    from .team_measure import TeamFusion, TeamSelection
 
 SCHEMA = "mitsuba-crb/bound/1"
+FUSE_SCHEMA = "mitsuba-crb/fuse/1"
+SELECT_SCHEMA = "mitsuba-crb/select/1"
 
 COLUMN_NAMES = ("dI_drho_x", "dI_drho_y", "dI_drho_z", "dI_dphi_x", "dI_dphi_y", "dI_dphi_z")
 """EXR layers of the six Jacobian columns, in twist order: translation [radiance / scene unit], then
@@ -210,6 +215,18 @@ def check_target(path: Path, option: str, inputs: Sequence[Path] = ()) -> None:
         ) from error
 
 
+def check_folder(path: Path, option: str) -> None:
+    """Make the folder `path` if it is missing; raise `OutputError` unless files can be written in it."""
+    if path.exists() and not path.is_dir():
+        raise OutputError(f"{option} {path}: this is a file; name a folder")
+    if not path.exists():
+        try:
+            path.mkdir()
+        except OSError as error:
+            raise OutputError(f"{option} {path}: cannot make this folder ({error.strerror})") from error
+    check_target(path / "probe", option)
+
+
 @contextmanager
 def atomic(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` that replaces it when the block ends, and vanishes if it fails."""
@@ -244,6 +261,50 @@ def bound_document(bound: PoseBound) -> dict[str, Any]:
     }
     plain: dict[str, Any] = _plain(document)
     return plain
+
+
+def fusion_document(team: Team, result: TeamFusion) -> dict[str, Any]:
+    """A team's joint bound, each agent's share and how it was measured, as strict JSON."""
+    values = result.fusion.to_dict()
+    agents = [
+        {**share, **{key: bound.provenance.get(key) for key in (*_PROVENANCE_KEYS, "warnings")}}
+        for share, bound in zip(values["agents"], result.bounds, strict=True)
+    ]
+    document = {
+        "schema": FUSE_SCHEMA,
+        "config": team.path,
+        "body": team.body,
+        "pose": result.fusion.information.pose,
+        **{key: values[key] for key in _BOUND_KEYS},
+        "agents": agents,
+        "versions": result.bounds[0].provenance.get("versions", {}),
+    }
+    plain: dict[str, Any] = _plain(document)
+    return plain
+
+
+def selection_document(team: Team, result: TeamSelection) -> dict[str, Any]:
+    """A team's chosen tiles, their worth, bounds and other budgets, as strict JSON."""
+    document = {
+        "schema": SELECT_SCHEMA,
+        "config": team.path,
+        "body": team.body,
+        "length_scale": result.agents[0].length_scale,
+        **result.selection.to_dict(),
+        "agents": [
+            {"name": agent.agent, "tiles": agent.tiles, "cost_bytes": agent.cost_bytes}
+            for agent in result.agents
+        ],
+        "curve": [{result.counts: budget, **_worth(other)} for budget, other in result.curve],
+        "warnings": result.warnings,
+    }
+    plain: dict[str, Any] = _plain(document)
+    return plain
+
+
+def _worth(selection: TileSelection) -> dict[str, Any]:
+    values = selection.to_dict()
+    return {key: values[key] for key in ("value", "value_heldout", "upper_bound", "baselines")}
 
 
 def _plain(value: Any) -> Any:

@@ -6,13 +6,14 @@ Nothing here uses pyplot, so that no global state of matplotlib's is read or cha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.colors import LogNorm
-from matplotlib.patches import Polygon
+from matplotlib.patches import Polygon, Rectangle
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator, NullLocator
 
 if TYPE_CHECKING:
@@ -29,6 +30,9 @@ _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # ITU-R BT.709, of linear RGB
 _UNMEASURED = "#c9c9c9"
 MUTED = "#606060"
 _COLOURS = {"position": "#2166ac", "rotation": "#b2182b"}
+_CHOSEN = "#e6550d"
+_MARKERS = "os^vD"
+_RULES = ("#e6550d", "#1b7837", "#2166ac", "#762a83", "#606060")
 AXIS_NAMES = {"position": ("x", "y", "z"), "rotation": ("pitch", "yaw", "roll")}
 _UNITS = {"position": "scene unit", "rotation": "deg"}
 _PLANES = ((0, 1), (0, 2), (1, 2))
@@ -184,6 +188,70 @@ def draw_ellipsoid(
         names = AXIS_NAMES[kind]
         ax.set_xlabel(f"{names[plane[0]]} [{unit}]", fontsize=9)
         ax.set_ylabel(names[plane[1]], fontsize=9, labelpad=1)
+    return drawn
+
+
+def draw_tiles(
+    ax: Axes,
+    image: npt.NDArray[np.floating[Any]],
+    tiles: npt.NDArray[np.int64],
+    chosen: Sequence[tuple[int, int]],
+) -> list[Artist]:
+    """An agent's image, the tiles that are sent as they are and the others dimmed.
+
+    Args:
+        ax: where to draw.
+        image: (H, W, 3) linear RGB [radiance].
+        tiles: (T, 4), x, y, width, height [pixel].
+        chosen: index of each tile that is sent, and its place in the order of choice, which is written on it.
+    """
+    drawn: list[Artist] = [draw_render(ax, image)]
+    order = dict(chosen)
+    for index, (x, y, width, height) in enumerate(tiles.tolist()):
+        corner = (x - 0.5, y - 0.5)
+        if index in order:
+            drawn.append(ax.add_patch(Rectangle(corner, width, height, fill=False, color=_CHOSEN, lw=1.4)))
+            label = ax.text(x + width / 2 - 0.5, y + height / 2 - 0.5, str(order[index]), color="white")
+            label.set(
+                ha="center",
+                va="center",
+                fontsize=8,
+                path_effects=[withStroke(linewidth=2, foreground="black")],
+            )
+            drawn.append(label)
+        else:
+            drawn.append(ax.add_patch(Rectangle(corner, width, height, color="white", alpha=0.62, lw=0)))
+    return drawn
+
+
+def draw_budget_curve(
+    ax: Axes, budgets: Sequence[int], values: Mapping[str, Sequence[float]], *, bound: Sequence[float]
+) -> list[Artist]:
+    """What several rules are worth against the budget; what no rule exceeds is shaded.
+
+    Args:
+        ax: where to draw.
+        budgets: ascending.
+        values: by rule, one per budget; infinite ones are left out.
+        bound: the upper bound for each budget.
+    """
+    limit = np.asarray(bound, dtype=np.float64)
+    finite = [np.where(np.isfinite(v), v, np.nan) for v in (np.asarray(v, float) for v in values.values())]
+    low = float(np.nanmin([*(np.nanmin(v) for v in finite), limit.min()]))
+    high = float(limit.max())
+    margin = 0.06 * (high - low or 1.0)
+    drawn: list[Artist] = [
+        ax.fill_between(
+            budgets, limit, high + margin, color=_UNMEASURED, alpha=0.6, lw=0, label="out of reach"
+        )
+    ]
+    styles = zip(values, finite, ("o", "s", "^", "v", "D"), _RULES, strict=False)
+    for name, numbers, marker, colour in styles:
+        drawn += ax.plot(budgets, numbers, marker=marker, markersize=4, lw=1.4, color=colour, label=name)
+    ax.set(ylim=(low - margin, high + margin), xlim=(min(budgets), max(budgets)))
+    ax.grid(alpha=0.25)
+    ax.tick_params(labelsize=9, colors=MUTED)
+    drawn.append(ax.legend(fontsize=9, frameon=False, loc="lower right"))
     return drawn
 
 

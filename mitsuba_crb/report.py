@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,10 +19,12 @@ from .se3 import TWIST_ORDER
 if TYPE_CHECKING:
     from .bound import PoseBound
     from .doctor import Diagnosis
+    from .team import Team
+    from .team_measure import TeamFusion, TeamSelection
     from .validation import JacobianCheck
 
 _POSITION = ("position x, world", "position y, world", "position z, world")
-_ROTATION = ("pitch, about camera x", "yaw, about camera y", "roll, about camera z")
+_ROTATION = ("pitch, about {} x", "yaw, about {} y", "roll, about {} z")
 _UNSEEN = "∞ (unseen)"
 
 
@@ -31,6 +34,13 @@ def print_bound(console: Console, bound: PoseBound) -> None:
     width, height = facts["size"]
     _line(console, Text(Path(str(facts["scene"])).name, style="bold"), f"  {width}×{height} pixels")
     _line(console, "No unbiased estimator of this camera's pose has smaller standard deviations than these:")
+    _deviations(console, bound)
+    _facts(console, _bound_facts(bound))
+    _notes(console, facts.get("warnings", ()))
+
+
+def _deviations(console: Console, bound: PoseBound, owner: str = "camera") -> None:
+    """The six standard deviations; `owner` is whose axes the rotations are about."""
     table = _table()
     table.add_column("")
     table.add_column("1σ bound", justify="right")
@@ -42,11 +52,9 @@ def print_bound(console: Console, bound: PoseBound) -> None:
     )
     for names, deviations, errors, unit in groups:
         for name, deviation, error in zip(names, deviations, errors, strict=True):
-            table.add_row(name, *number_with_error(float(deviation), float(error)), unit)
+            table.add_row(name.format(owner), *number_with_error(float(deviation), float(error)), unit)
         table.add_section()
     console.print(table)
-    _facts(console, _bound_facts(bound))
-    _notes(console, facts.get("warnings", ()))
 
 
 def number_with_error(value: float, error: float) -> tuple[str, str]:
@@ -170,6 +178,83 @@ def _pair(value: float, error: float, form: str) -> str:
     if math.isnan(value):
         return ""
     return f"{value:{form}}" + (f" ± {error:{form}}" if math.isfinite(error) else "")
+
+
+def print_fusion(console: Console, team: Team, result: TeamFusion) -> None:
+    """What each agent sees and brings, and the joint bound."""
+    _line(console, Text(team.path.name, style="bold"), f"  {len(team.members)} agents")
+    table = _table()
+    for head in ("agent", "rank", "share", "unseen alone"):
+        table.add_column(head, justify="right" if head in ("rank", "share") else "left")
+    for share, bound in zip(result.fusion.agents, result.bounds, strict=True):
+        unseen = "; ".join(direction.description for direction in bound.unobserved)
+        table.add_row(Text(share.name), f"{share.rank} of 6", f"{share.share:.1%}", unseen or "nothing")
+    console.print(table)
+    bound = result.fusion.bound
+    _line(console, f"No unbiased estimator of the pose of {team.body!r} from all images has less than these:")
+    _deviations(console, bound, "body")
+    rows = [("rank", f"{bound.rank} of 6")]
+    rows += [("unseen", direction.description) for direction in bound.unobserved]
+    rows.append(("length scale", f"{bound.length_scale:.4g} scene units (the largest of the agents')"))
+    _facts(console, rows)
+    for share, bound in zip(result.fusion.agents, result.bounds, strict=True):
+        _notes(console, (f"{share.name}: {text}" for text in bound.provenance.get("warnings", ())))
+
+
+def print_selection(console: Console, team: Team, result: TeamSelection) -> None:
+    """How many tiles each agent sends, what they are worth beside simpler rules, and other budgets."""
+    selection = result.selection
+    counts = Counter(chosen.agent for chosen in selection.chosen)
+    _line(
+        console,
+        Text(team.path.name, style="bold"),
+        f"  {len(selection.chosen)} of {sum(len(a.tiles) for a in result.agents)} tiles chosen, "
+        f"{selection.total_bytes} bytes",
+    )
+    table = _table()
+    table.add_column("agent")
+    for head in ("tiles", "of", "bytes each"):
+        table.add_column(head, justify="right")
+    for agent in result.agents:
+        costs = sorted(set(agent.cost_bytes.tolist()))
+        table.add_row(
+            Text(agent.agent),
+            str(counts[agent.agent]),
+            str(len(agent.tiles)),
+            "–".join(map(str, costs[:: max(1, len(costs) - 1)])),
+        )
+    console.print(table)
+    table = _table()
+    table.add_column(selection.objective)
+    for head in ("on the half chosen by", "held out"):
+        table.add_column(head, justify="right")
+    table.add_row("nothing sent", *2 * (_number(selection.value_empty),))
+    for name, base in selection.baselines.items():
+        table.add_row(name.replace("_", " "), _number(base.value), _number(base.value_heldout))
+    table.add_row(
+        Text("chosen", style="bold"),
+        Text(_number(selection.value), style="bold"),
+        Text(_number(selection.value_heldout), style="bold"),
+    )
+    table.add_row("upper bound", _number(selection.upper_bound), "")
+    console.print(table)
+    guarantee = "nothing" if selection.guarantee is None else f"{selection.guarantee:.1%}"
+    rows = [("certificate", f"{selection.certificate:.1%} of the best gain; beforehand certain: {guarantee}")]
+    length = result.agents[0].length_scale
+    rows.append(("length scale", f"{length:.4g} scene units (the largest of the agents')"))
+    _facts(console, rows)
+    table = _table()
+    for head in (result.counts, "chosen", *selection.baselines, "upper bound"):
+        table.add_column(head.replace("_", " "), justify="right")
+    for budget, other in result.curve:
+        values = (other.value, *(base.value for base in other.baselines.values()), other.upper_bound)
+        table.add_row(str(budget), *map(_number, values))
+    console.print(table)
+    _notes(console, result.warnings)
+
+
+def _number(value: float) -> str:
+    return f"{value:.5g}" if math.isfinite(value) else str(value).replace("inf", "∞")
 
 
 def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:

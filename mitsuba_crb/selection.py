@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Any, Literal
 
@@ -88,6 +88,12 @@ class TileSelection:
     """Size of all chosen tiles' messages."""
     evaluations: int
     """How often a tile's gain was evaluated to make the choice."""
+
+    def bounded(self, upper_bound: float) -> TileSelection:
+        """The same choice where `upper_bound` is known to hold, too."""
+        bound = min(self.upper_bound, upper_bound)
+        certificate = _certificate(self.value, self.value_empty, bound)
+        return replace(self, upper_bound=bound, certificate=certificate)
 
     def to_dict(self) -> dict[str, Any]:
         """All fields as JSON-able values: infinities as the string "inf" or "-inf"."""
@@ -187,12 +193,16 @@ def select_tiles(
         value_heldout=held_out,
         value_empty=empty,
         upper_bound=bound,
-        certificate=(value - empty) / (bound - empty) if bound > empty else 1.0,
+        certificate=_certificate(value, empty, bound),
         guarantee=_guarantee(simple, criterion),
         baselines={name: Baseline(float(pair[0]), float(pair[1])) for name, pair in baselines.items()},
         total_bytes=int(problem.cost[list(choice.tiles)].sum()),
         evaluations=choice.evaluations,
     )
+
+
+def _certificate(value: float, empty: float, bound: float) -> float:
+    return (value - empty) / (bound - empty) if bound > empty else 1.0
 
 
 def _base(ridge: float, prior: ArrayLike | None, *, definite: bool) -> Array:

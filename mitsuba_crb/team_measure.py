@@ -1,0 +1,224 @@
+"""Measures a team's agents in parallel processes, and fuses them or chooses their tiles.
+
+Processes are spawned, one per agent at a time: a Mitsuba session cannot be forked. Every agent's random
+numbers follow from its name, so that the results do not depend on the number of processes. As with all
+spawned processes, a script that calls this must guard its own start by `if __name__ == "__main__":`.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import warnings
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from multiprocessing import get_context
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .bound import PoseBound
+from .errors import MitsubaCRBError, OptionError, WorkerError
+from .fusion import Agent, Fusion, fuse
+from .measure import TileJacobian, pose_bound
+from .measure_tiles import tile_information
+from .scene import load_scene
+from .selection import TileSelection, select_tiles
+from .team import Member, Team
+from .tiles import Budget, TileInformation, together
+
+T = TypeVar("T")
+Progress = Callable[[int, int], None]
+"""Called after each agent with the agents done and all of them."""
+
+CURVE_POINTS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """What a process needs to measure one agent."""
+
+    member: Member
+    """The agent."""
+    options: dict[str, Any]
+    """Its `MeasurementOptions`."""
+    tiles: dict[str, Any]
+    """What else `tile_information` takes."""
+
+
+@dataclass(frozen=True, eq=False)
+class TeamFusion:
+    """What a team knows together, and what each agent knows alone."""
+
+    fusion: Fusion
+    """About the common body."""
+    bounds: tuple[PoseBound, ...]
+    """About each agent's own camera, in the team's order."""
+
+
+@dataclass(frozen=True, eq=False)
+class TeamSelection:
+    """Which tiles a team should send."""
+
+    selection: TileSelection
+    """Under the budget asked for."""
+    curve: tuple[tuple[int, TileSelection], ...]
+    """The same for several budgets: tiles or bytes in total, ascending."""
+    counts: Literal["tiles", "bytes"]
+    """What the curve's budgets count."""
+    agents: tuple[TileInformation, ...]
+    """All tiles, about the common body, in the team's order."""
+    images: tuple[NDArray[np.float32], ...]
+    """(H, W, 3) each agent's image [radiance]."""
+    warnings: tuple[str, ...]
+    """What happened on the way."""
+
+
+def fuse_team(team: Team, *, workers: int | None = None, on_agent: Progress | None = None) -> TeamFusion:
+    """The joint bound of a team's common body.
+
+    Args:
+        team: from `load_team`.
+        workers: processes; None: one per agent, but no more than there are cores. 1 spawns none.
+        on_agent: called after each agent.
+
+    Raises:
+        MitsubaCRBError: as `pose_bound` and `fuse`, the agent named.
+    """
+    bounds = _each(_bound, team, workers, on_agent)
+    transforms = team.transforms([bound.information.pose for bound in bounds])
+    agents = [
+        Agent(member.name, bound.information, transform)
+        for member, bound, transform in zip(team.members, bounds, transforms, strict=True)
+    ]
+    return TeamFusion(fuse(agents, variable=team.body), tuple(bounds))
+
+
+def select_team(
+    team: Team,
+    budget: Budget,
+    *,
+    objective: Literal["logdet", "trace", "lambda_min"] = "logdet",
+    workers: int | None = None,
+    on_agent: Progress | None = None,
+) -> TeamSelection:
+    """The tiles that a team should send under a budget, and what other budgets would be worth.
+
+    Args:
+        team: from `load_team`; its agents' budgets hold where `budget` has no limit per agent.
+        budget: limits on tiles and bytes, in total and per agent.
+        objective: as for `select_tiles`.
+        workers: as for `fuse_team`.
+        on_agent: called after each agent.
+
+    Raises:
+        MitsubaCRBError: as `tile_information` and `select_tiles`, the agent named.
+    """
+    measured = _each(_tiles, team, workers, on_agent)
+    own, images, texts = zip(*measured, strict=True)
+    agents = together(own, team.transforms([tiles.pose for tiles in own]), variable=team.body)
+    limits = replace(
+        budget,
+        tiles_per_agent=_per_agent(budget.tiles_per_agent, {m.name: m.tiles for m in team.members}),
+        bytes_per_agent=_per_agent(budget.bytes_per_agent, {m.name: m.bytes for m in team.members}),
+    )
+    counts: Literal["tiles", "bytes"] = "bytes" if limits.tiles is None and limits.bytes else "tiles"
+    exist = sum(int(a.cost_bytes.sum()) if counts == "bytes" else len(a.tiles) for a in agents)
+    asked = getattr(limits, counts)
+    top = exist if asked is None else min(2 * asked, exist)
+    points = np.unique(np.linspace(0, top, CURVE_POINTS + 1).round().astype(int)[1:]).tolist()
+    selections = [select_tiles(agents, replace(limits, **{counts: n}), objective=objective) for n in points]
+    # What no choice exceeds under a larger budget, none exceeds under a smaller one.
+    for smaller, larger in reversed(list(pairwise(range(len(points))))):
+        selections[smaller] = selections[smaller].bounded(selections[larger].upper_bound)
+    return TeamSelection(
+        selection=select_tiles(agents, limits, objective=objective),
+        curve=tuple(zip(points, selections, strict=True)),
+        counts=counts,
+        agents=tuple(agents),
+        images=images,
+        warnings=tuple(dict.fromkeys(text for some in texts for text in some)),
+    )
+
+
+def _per_agent(
+    asked: int | Mapping[str, int] | None, own: Mapping[str, int | None]
+) -> int | Mapping[str, int] | None:
+    """A limit for all agents if one was asked for, otherwise each agent's own."""
+    return {name: limit for name, limit in own.items() if limit is not None} if asked is None else asked
+
+
+def _each(measure: Callable[[Job], T], team: Team, workers: int | None, on_agent: Progress | None) -> list[T]:
+    """What is measured of every member, in the team's order."""
+    if workers is not None and workers < 1:
+        raise OptionError(f"there must be at least one worker process, not {workers}")
+    jobs = [Job(member, team.options(member), team.tiles) for member in team.members]
+    count = min(len(jobs), workers or os.cpu_count() or 1)
+    report = on_agent or (lambda done, total: None)
+    results: list[T] = []
+    if count == 1:
+        for job in jobs:
+            results.append(_named(measure, job))
+            report(len(results), len(jobs))
+        return results
+    with ProcessPoolExecutor(count, get_context("spawn"), initializer=_die_quietly) as pool:
+        futures = [pool.submit(_named, measure, job) for job in jobs]
+        try:
+            for done, future in enumerate(as_completed(futures), 1):
+                future.result()
+                report(done, len(jobs))
+        except BrokenProcessPool as error:
+            raise WorkerError(
+                "a process that measures an agent ended before it had answered; with too little memory, use "
+                "fewer --workers or a smaller size"
+            ) from error
+        finally:
+            pool.shutdown(cancel_futures=True)
+    return [future.result() for future in futures]
+
+
+def _die_quietly() -> None:
+    # Ctrl-C reaches all processes of a terminal: the parent says so, once.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def _named(measure: Callable[[Job], T], job: Job) -> T:
+    try:
+        return measure(job)
+    except MitsubaCRBError as error:
+        raise type(error)(f"agent {job.member.name!r}: {error}") from None
+
+
+def _bound(job: Job) -> PoseBound:
+    member = job.member
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the bound's provenance repeats them
+        return pose_bound(load_scene(member.scene, **member.defines), member.noise, **job.options)
+
+
+def _tiles(job: Job) -> tuple[TileInformation, NDArray[np.float32], list[str]]:
+    member = job.member
+    parts: list[tuple[NDArray[np.int64], NDArray[np.float64]]] = []
+
+    def on_tile(part: TileJacobian, done: int, total: int) -> None:
+        parts.append((part.pixels, part.mean))
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        information = tile_information(
+            load_scene(member.scene, **member.defines),
+            member.noise,
+            agent=member.name,
+            on_tile=on_tile,
+            **job.tiles,
+            **job.options,
+        )
+    x, y, width, height = information.tiles.T
+    image = np.full((int((y + height).max()), int((x + width).max()), 3), np.nan, np.float32)
+    for pixels, mean in parts:
+        image[pixels[:, 1], pixels[:, 0]] = mean
+    return information, image, [f"{member.name}: {warning.message}" for warning in caught]
