@@ -18,7 +18,7 @@ from .errors import OptionError
 from .information import MINIMUM_BATCHES
 from .se3 import Array
 from .symmetric import unpack
-from .ustatistic import block_products, whiten
+from .ustatistic import block_products, square_root, whiten
 
 MINIMUM_HALVED_BATCHES = 2 * MINIMUM_BATCHES
 """Each half is an estimate of its own, with as many batches as any other."""
@@ -61,7 +61,7 @@ class TileGrid:
 
         Args:
             batch_values: (K, n, C, 6), independent estimates of ∂I/∂ξ.
-            weights: (n, C), inverse noise variances.
+            weights: (n, C) or (n, C, C), inverse noise variances.
             pixels: (n, 2), column x and row y.
         """
         if len(pixels) == 0:
@@ -71,7 +71,7 @@ class TileGrid:
         order = np.lexsort((x, y, tile))
         starts = np.flatnonzero(np.diff(tile[order], prepend=-1))
         bounds = pairwise([*starts.tolist(), len(order)])
-        root = np.sqrt(weights)
+        root = square_root(weights)
         touched, counts = np.unique(tile, return_counts=True)
         self._sums[:, :, touched] += block_products(
             whiten(batch_values, root, order[start:stop]) for start, stop in bounds

@@ -14,7 +14,7 @@ from mitsuba_crb.errors import FrameError, OptionError, PoseError, SelectionErro
 from mitsuba_crb.fusion import Agent, to_common
 from mitsuba_crb.measure_tiles import tile_information
 from mitsuba_crb.message import encode, message_size
-from mitsuba_crb.noise import Gaussian
+from mitsuba_crb.noise import CoupledNoise, Gaussian
 from mitsuba_crb.selection import select_tiles
 from mitsuba_crb.tile_grid import TileGrid
 from mitsuba_crb.tiles import Budget, together
@@ -158,8 +158,28 @@ def test_agents_are_brought_to_one_pose_and_unit() -> None:
         together([a], [np.diag([2.0, 2.0, 2.0, 1.0])])
 
 
-class Coupled(Gaussian):
-    couples_pixels = True
+def test_noise_that_mixes_a_pixel_s_channels_weighs_by_blocks() -> None:
+    rng = np.random.default_rng(5)
+    values, root = rng.normal(size=(8, 12, 3, 6)), rng.normal(size=(12, 3, 3))
+    pixels = np.stack(np.divmod(np.arange(12), 4), axis=1)
+    mixed, whitened = TileGrid((4, 4), 2, batches=8), TileGrid((4, 4), 2, batches=8)
+    mixed.add(values, root.swapaxes(1, 2) @ root, pixels)
+    whitened.add(np.einsum("ncd,kndi->knci", root, values), np.ones((12, 3)), pixels)
+    for found, expected in zip(mixed.halves(np.ones(6)), whitened.halves(np.ones(6)), strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
+
+
+class Coupled(CoupledNoise):
+    description = "coupled"
+
+    def check(self, height: int, width: int, channels: int) -> None:
+        pass
+
+    def to_dict(self) -> dict[str, Any]:
+        return {}
+
+    def solve(self, pixels: Any, values: Any) -> Any:
+        return values
 
 
 @pytest.mark.parametrize(
@@ -169,7 +189,7 @@ class Coupled(Gaussian):
         ({"tile_size": 0}, OptionError, "tile's size"),
         ({"tile_size": (8, -1)}, OptionError, "tile's size"),
         ({"tile_size": 1.5}, OptionError, "tile's size"),
-        ({"noise": Coupled(0.1)}, SelectionError, "'camera' is correlated between pixels.*do.* not add"),
+        ({"noise": Coupled()}, SelectionError, "'camera' is correlated between pixels.*do.* not add"),
     ],
 )
 def test_what_cannot_be_is_refused_before_rendering(
