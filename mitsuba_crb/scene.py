@@ -141,7 +141,7 @@ class View:
 
         params = mi.traverse(self.sensor)
         full_width = float(params["film.size"][0])
-        x_fov = np.radians(float(np.asarray(params["x_fov"]).ravel()[0]))
+        x_fov = np.radians(float(params["x_fov"][0]))
         return full_width / (2.0 * float(np.tan(x_fov / 2.0)))
 
     @property

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import gc
+import warnings
 from typing import Any
 
 import drjit as dr
@@ -15,7 +16,8 @@ import numpy as np
 import pytest
 from small_scenes import T, camera, scene, texture, textured_wall, wall
 
-from mitsuba_crb import se3
+from mitsuba_crb import pose_bound, se3
+from mitsuba_crb.errors import PrecisionWarning
 from mitsuba_crb.jacobian import finite_difference, flow, paths
 from mitsuba_crb.jacobian.pairs import PairSample, filter_pairs
 from mitsuba_crb.jacobian.pixels import (
@@ -27,6 +29,7 @@ from mitsuba_crb.jacobian.pixels import (
     opaque_transform,
 )
 from mitsuba_crb.jacobian.view_term import ViewTerm, _turn_of_lobes
+from mitsuba_crb.noise import Gaussian
 from mitsuba_crb.scene import View, open_view
 
 THIN = {"type": "thinlens", "aperture_radius": 0.2, "focus_distance": 2.5}
@@ -410,3 +413,50 @@ def test_a_new_pose_seed_subset_or_sample_count_compiles_nothing() -> None:
         compiled(100, 16, 0, np.eye(4))
         assert compiled(57, 32, 1 << 40, turn) == 0
         assert compiled(300, 24, 2, turn @ turn) == 0
+
+
+KERNEL_SCENES = {
+    "glossy": scene(
+        wall=wall() | {"bsdf": {"type": "roughplastic", "alpha": 0.2}},
+        ball={"type": "sphere", "center": [0.2, 0.1, 2.0], "radius": 0.3},
+    ),
+    "thin lens": scene(
+        wall=wall(texture()),
+        box={"type": "cube", "to_world": T().translate([-0.4, 0.2, 2.0]).scale(0.2)},
+        sensor=camera() | THIN,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", KERNEL_SCENES)
+def test_twenty_views_run_the_kernels_of_the_first(name: str) -> None:
+    """Poses (some that see nothing), sizes of tiles, subsets, seeds and sample counts, all at random.
+
+    The first view shows a contour: what no earlier view has met is compiled when it is.
+    """
+    gc.collect()  # BSDFs of earlier scenes are part of a kernel's virtual calls while they live
+    which, rng = mi.load_dict(KERNEL_SCENES[name]), np.random.default_rng(3)
+    used: list[set[str]] = []
+    with open_view(which) as view:
+        first = view.pose
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        for i in range(20):
+            twist = rng.normal(size=6) * [0.5, 0.5, 0.5, 0.6, 0.6, 0.6]
+            if i % 7 == 6:
+                twist = np.array([0.0, 0.0, 0.0, 0.0, np.pi, 0.0])
+            few = str(rng.choice(["random:0.3", "random:0.005", "gradient:0.2"]))
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", PrecisionWarning)
+                dr.kernel_history_clear()
+                pose_bound(
+                    which,
+                    Gaussian(0.1),
+                    pose=first if i == 0 else first @ se3.exp(twist),
+                    spp=int(rng.choice([8, 16, 24])),
+                    seed=int(rng.integers(1 << 40)),
+                    tile=int(rng.choice([16, 32, 128])),
+                    pixels=None if i % 4 == 0 else few,
+                )
+            used.append({kernel["hash"] for kernel in dr.kernel_history([dr.KernelType.JIT])})
+    assert len(used[0]) > 5
+    assert set().union(*used[1:]) <= used[0]

@@ -205,7 +205,8 @@ def _lens(view: View) -> Lens:
     params = mi.traverse(view.sensor)
     if "aperture_radius" not in params:
         return Lens(scale, offset, view.near_clip)
-    radius, focus = (float(np.asarray(params[k]).ravel()[0]) for k in ("aperture_radius", "focus_distance"))
+    # Entry by entry: NumPy's conversion would evaluate literals, and the next view would need new kernels.
+    radius, focus = (float(params[k][0]) for k in ("aperture_radius", "focus_distance"))
     return Lens(scale, offset, view.near_clip, radius, focus)
 
 
