@@ -67,6 +67,18 @@ class Pinhole:
             slope[:, axis, 2] = f * p[:, axis] / p[:, 2] ** 2
         return slope
 
+    def flow(self, points: ArrayLike) -> Array:
+        """∂u/∂ξ = ∂π/∂p [−1, [p]×] of points (n, 3) in the camera's frame: (n, 2, 6) [pixel / twist]."""
+        p = np.asarray(points, dtype=np.float64)
+        slope = self.slope(p)
+        # rᵀ[p]× = (r × p)ᵀ
+        return np.concatenate([-slope, np.cross(slope, p[:, None])], axis=2)
+
+    def directions(self, film: ArrayLike) -> Array:
+        """The points (n, 3) at depth one in the camera's frame whose images are at (n, 2) [pixel]."""
+        xy = (np.asarray(self.centre) - np.asarray(film, dtype=np.float64)) / np.asarray(self.focal)
+        return np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
+
 
 @dataclass(frozen=True, eq=False)
 class PointView:
@@ -177,10 +189,9 @@ class _Images:
                 f"{self.seen[behind[0]]}; leave them out of `seen`, or check the pose (z is forward)"
             )
         self.depth = float(np.median(p[:, 2]))
-        slope = np.linalg.solve(_whitening(view, len(p)), view.camera.slope(p))
-        # rᵀ[p]× = (r × p)ᵀ
-        self.by_pose = np.concatenate([-slope, np.cross(slope, p[:, None])], axis=2)
-        self.by_point = slope @ rotation.T
+        root = _whitening(view, len(p))
+        self.by_pose = np.linalg.solve(root, view.camera.flow(p))
+        self.by_point = np.linalg.solve(root, view.camera.slope(p) @ rotation.T)
 
 
 def _indices(view: PointView, total: int) -> NDArray[np.integer]:
