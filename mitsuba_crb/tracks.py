@@ -32,14 +32,14 @@ from skimage.feature import corner_peaks, corner_shi_tomasi
 
 from . import se3
 from .bundle import FEWEST_POINTS, Pinhole, PointView, point_information
-from .errors import OptionError, PixelsError, PointsError, SensorError
-from .information import FisherInformation, ImageJacobian, fisher_information
+from .errors import NoiseError, OptionError, PixelsError, PointsError, SensorError
+from .information import FisherInformation, ImageJacobian, InformationAccumulator
 from .jacobian.pixels import camera_ray, download, move_ray, opaque_transform, upload
-from .measure import Measurement, MeasurementOptions, measurement
-from .noise import NoiseModel
+from .measure import Measurement, MeasurementOptions, TileJacobian, measurement
+from .noise import CoupledNoise, NoiseModel
 from .se3 import Array
 from .symmetric import unpack
-from .ustatistic import pixel_products, whiten
+from .ustatistic import pixel_products, square_root, whiten
 
 if TYPE_CHECKING:
     from .scene import View
@@ -100,6 +100,7 @@ def feature_tracks(
     Raises:
         PointsError: fewer than three corners.
         SensorError: the camera is no pinhole.
+        NoiseError: the noise is correlated between pixels.
         OptionError, PixelsError: `most`, `half_window` or `pixels` cannot be used.
         MitsubaCRBError: as `pose_jacobian`.
     """
@@ -132,7 +133,7 @@ def feature_tracks(
         pixels=pixels[kept],
         windows=ndimage.binary_dilation(centres, windows.shape),
         view=windows.seen_by(run.view, tensors[kept]),
-        image_information=fisher_information(windows.jacobian, windows.noise),
+        image_information=windows.image_information,
     )
 
 
@@ -199,8 +200,10 @@ class _Windows:
     """The structure tensor of a measured view, and where windows show a point of the scene."""
 
     camera: Pinhole
-    jacobian: ImageJacobian
-    noise: NoiseModel
+    image: Array
+    """(H, W), grey."""
+    image_information: FisherInformation
+    """About the camera's pose, of all pixels."""
     half: int
     tensor: Array
     """(H, W, 2, 2), ∇I Σ⁻¹ ∇Iᵀ [1 / pixel²] without Monte Carlo bias."""
@@ -218,23 +221,34 @@ class _Windows:
             )
         camera = pinhole(run.view)
         model, _ = run.noise(noise)
+        if isinstance(model, CoupledNoise):
+            raise NoiseError(
+                "corners have covariances of their own only under noise that is independent between pixels, "
+                f"not {model.description}"
+            )
         jacobian = run.jacobian()
         model.check(*jacobian.image.shape)
+        part = TileJacobian(jacobian.batch_values, jacobian.pixels.astype(np.int64), jacobian.mean)
+        weights = run.weights(model, part)
+        accumulator = InformationAccumulator(batches=run.batches, block=run.block)
+        accumulator.add(jacobian.batch_values, weights, jacobian.pixels)
         tensor = np.zeros((*jacobian.image.shape[:2], 2, 2))
         x, y = jacobian.pixels.T
-        tensor[y, x] = _structure_tensors(jacobian, camera, model)
+        tensor[y, x] = _structure_tensors(jacobian, camera, weights)
         # What a window's pixels see reaches beyond it by their filter's radius.
         reach = 2 * (half + int(np.ceil(run.view.sensor.film().rfilter().radius()))) + 1
         blocked = ndimage.binary_dilation(_unsmooth(run.view), np.ones((reach, reach)))
         blocked[:half] = blocked[-half:] = blocked[:, :half] = blocked[:, -half:] = True
         total = ndimage.uniform_filter(tensor, 2 * half + 1, axes=(0, 1), mode="constant")
         usable = ~blocked & (np.linalg.eigvalsh(total)[..., 0] > 0.0)
-        return _Windows(camera, jacobian, model, half, tensor, usable)
-
-    @property
-    def image(self) -> Array:
-        """(H, W), grey."""
-        return np.asarray(self.jacobian.image.mean(axis=2))
+        information = accumulator.information(
+            frame="camera",
+            variable=jacobian.variable,
+            pose=jacobian.pose,
+            length_scale=jacobian.length_scale,
+            selection=jacobian.selection,
+        )
+        return _Windows(camera, jacobian.image.mean(axis=2), information, half, tensor, usable)
 
     @property
     def shape(self) -> NDArray[np.bool_]:
@@ -255,12 +269,11 @@ class _Windows:
         return PointView(view.variable, view.pose, self.camera, np.linalg.inv(tensors), seen)
 
 
-def _structure_tensors(jacobian: ImageJacobian, camera: Pinhole, noise: NoiseModel) -> Array:
+def _structure_tensors(jacobian: ImageJacobian, camera: Pinhole, weights: Array) -> Array:
     """∇I Σ⁻¹ ∇Iᵀ at every pixel, (n, 2, 2) [1 / pixel²], the mean over pairs of batches."""
     flow = camera.flow(camera.directions(jacobian.pixels + 0.5))[..., 3:5]
     gradients = -jacobian.batch_values[..., 3:5] @ np.linalg.inv(flow)
-    root = np.sqrt(noise.weights(jacobian.pixels, jacobian.mean))
-    products = pixel_products(whiten(gradients, root, np.arange(len(root))))
+    products = pixel_products(whiten(gradients, square_root(weights), np.arange(len(weights))))
     return unpack(products.mean(axis=0).T)
 
 

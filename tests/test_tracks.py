@@ -14,9 +14,9 @@ from small_scenes import camera, scene, textured_wall, wall
 
 from mitsuba_crb import cramer_rao_bound, fisher_information, load_scene, pose_jacobian, se3
 from mitsuba_crb.bundle import bundle_adjustment, point_information
-from mitsuba_crb.errors import OptionError, PixelsError, PointsError, SensorError
+from mitsuba_crb.errors import NoiseError, OptionError, PixelsError, PointsError, SensorError
 from mitsuba_crb.jacobian.pixels import render_pixels
-from mitsuba_crb.noise import Gaussian
+from mitsuba_crb.noise import CoupledNoise, Gaussian
 from mitsuba_crb.scene import open_view
 from mitsuba_crb.tracks import feature_tracks, pinhole, see_points
 
@@ -126,7 +126,7 @@ class TestAgainstTheImage:
     def test_the_image_s_information_is_that_of_the_bound(self, room):
         found, tracks = room
         same = fisher_information(pose_jacobian(found, **ROOM), SIGMA)
-        np.testing.assert_array_equal(tracks.image_information.matrix, same.matrix)
+        np.testing.assert_allclose(tracks.image_information.matrix, same.matrix, rtol=1e-12)
 
 
 class TestSeveralViews:
@@ -167,6 +167,22 @@ class TestBadInput:
         lens = camera() | {"type": "thinlens", "aperture_radius": 0.1, "focus_distance": 3.0}
         with pytest.raises(SensorError, match="need a pinhole, and sensor 'camera' is a ThinLensCamera"):
             feature_tracks(textured_wall(sensor=lens), SIGMA, **SMALL)
+
+    def test_correlated_noise(self):
+        class Correlated(CoupledNoise):
+            description = "correlated noise"
+
+            def check(self, *_):
+                pass
+
+            def solve(self, _pixels, values):
+                return values
+
+            def to_dict(self):
+                return {}
+
+        with pytest.raises(NoiseError, match="independent between pixels, not correlated noise"):
+            feature_tracks(textured_wall(), Correlated(), **SMALL)
 
     def test_options(self):
         with pytest.raises(PixelsError, match=r"need every pixel, not random:0\.5"):
