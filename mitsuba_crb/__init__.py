@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from .information import ImageJacobian as ImageJacobian
     from .information import fisher_information as fisher_information
     from .information_filter import InformationFilter as InformationFilter
-    from .joint_information import JointInformation as JointInformation
-    from .joint_information import joint_information as joint_information
+    from .joint import JointInformation as JointInformation
+    from .joint import joint_information as joint_information
     from .measure import pose_bound as pose_bound
     from .measure import pose_jacobian as pose_jacobian
     from .measure_displaced import hcr_bound as hcr_bound
@@ -44,8 +44,8 @@ _HOME = {
     "FisherInformation": "information",
     "ImageJacobian": "information",
     "fisher_information": "information",
-    "JointInformation": "joint_information",
-    "joint_information": "joint_information",
+    "JointInformation": "joint",
+    "joint_information": "joint",
     "hcr_bound": "measure_displaced",
     "pose_bound": "measure",
     "pose_jacobian": "measure",

@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from dataclasses import replace as dataclass_replace
 from typing import Any, Literal
 
 import numpy as np
@@ -19,11 +21,15 @@ from numpy.typing import ArrayLike
 
 from . import se3
 from .criteria import LAMBDA_MIN, KieferMean, LogDet
-from .errors import OptionError, PrecisionWarning
+from .errors import NuisanceWarning, OptionError, PrecisionWarning
 from .identifiability import PoseDirection, readable_basis, weakest_direction
 from .information import FisherInformation
 from .inverse import Inverse
+from .joint import JointInformation
 from .se3 import Array, Frame
+
+ALL_NUISANCES = "all of them"
+"""Key of `PoseBound.if_known` for the bound if every nuisance were known."""
 
 LARGEST_RELATIVE_ERROR = 0.1
 """A standard deviation whose relative standard error exceeds this raises a `PrecisionWarning`."""
@@ -97,6 +103,21 @@ class PoseBound:
     """Gives the variance of any linear functional of the pose; `to_coordinates` uses it."""
     provenance: dict[str, Any] = field(default_factory=dict)
     """How the information was computed, JSON-able."""
+    joint: JointInformation | None = field(default=None, repr=False)
+    """What it came from: of the pose and of nuisance parameters, whose marginalization it can undo."""
+    if_known: Mapping[str, PoseBound] = field(default_factory=dict, repr=False)
+    """By marginalized nuisance: the bound if that one were known; of several also `ALL_NUISANCES`."""
+
+    def to_frame(self, frame: Frame) -> PoseBound:
+        """The same bound with its matrices in another frame."""
+        twist = _twist(self.inverse, frame)
+        return dataclass_replace(
+            self,
+            frame=frame,
+            information=self.inverse.total.to_frame(frame),
+            covariance=self.inverse.covariance(twist),
+            seen_covariance=self.inverse.seen_covariance(twist),
+        )
 
     @property
     def optimality(self) -> Optimality:
@@ -206,10 +227,7 @@ def cramer_rao_bound(
         van Trees, "Detection, Estimation, and Modulation Theory", part I, 1968, sections 2.4.2 and 2.4.3.
     """
     inverse = Inverse(information, prior)
-    position, turn = _position(inverse), _TURN
-    twist = np.diag(inverse.scale)
-    if information.frame == "world":
-        twist = se3.adjoint(inverse.total.pose) @ twist
+    position, turn, twist = _position(inverse), _TURN, _twist(inverse, information.frame)
     position_covariance, rotation_covariance = inverse.covariance(position), inverse.covariance(turn)
     with np.errstate(invalid="ignore"):
         position_std = np.sqrt(np.diagonal(position_covariance))
@@ -239,6 +257,44 @@ def cramer_rao_bound(
     )
     _warn_of_imprecision(bound)
     return bound
+
+
+def joint_bound(joint: JointInformation, *, prior: FisherInformation | ArrayLike | None = None) -> PoseBound:
+    """The Cramér–Rao bound of a pose among nuisance parameters, in the camera frame, and what each costs.
+
+    Args:
+        joint: with every nuisance marginalized or fixed.
+        prior: of the pose, see `cramer_rao_bound`.
+
+    Raises:
+        NuisanceError: nothing was decided of some nuisance.
+
+    Warns:
+        NuisanceWarning: the image does not see a marginalized nuisance.
+        PrecisionWarning: see `cramer_rao_bound`.
+    """
+    bound = cramer_rao_bound(joint.information, prior=prior)
+    unknown = [name for name in joint.names if joint.treatment[name] == "marginalized"]
+    unseen = [name for name in joint.unseen if name in unknown]
+    if unseen:
+        warnings.warn(
+            f"the image does not see {', '.join(unseen)}, so that not knowing it costs nothing",
+            NuisanceWarning,
+            stacklevel=2,
+        )
+    known = {name: joint.fix(name) for name in unknown}
+    if len(unknown) > 1:
+        known[ALL_NUISANCES] = joint.fix(*unknown)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PrecisionWarning)
+        if_known = {name: cramer_rao_bound(each.information, prior=prior) for name, each in known.items()}
+    return dataclass_replace(bound, joint=joint, if_known=if_known)
+
+
+def _twist(inverse: Inverse, frame: Frame) -> Array:
+    """(6, 6), the unscaled twist in a frame."""
+    twist = np.diag(inverse.scale)
+    return twist if frame == "camera" else se3.adjoint(inverse.total.pose) @ twist
 
 
 def _position(inverse: Inverse) -> Array:

@@ -25,7 +25,6 @@ from .errors import MitsubaCRBError, OutputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from .bound import PoseBound
     from .measure import TileJacobian
 
 INTERNAL_ERROR = 70
@@ -163,16 +162,6 @@ def _collected() -> Iterator[list[str]]:
         texts += dict.fromkeys(str(warning.message) for warning in caught)
 
 
-def _in_frame(bound: PoseBound, frame: Literal["camera", "world"]) -> PoseBound:
-    """The same bound with its matrices in `frame`."""
-    from .bound import cramer_rao_bound
-
-    if bound.frame == frame:
-        return bound
-    turned = cramer_rao_bound(bound.information.to_frame(frame))
-    return dataclasses.replace(turned, provenance=bound.provenance)
-
-
 def _console() -> Console:
     from rich.console import Console
 
@@ -254,7 +243,7 @@ def bound(
                 on_tile=on_tile,
                 **options,
             )
-            result = _in_frame(result, frame)
+            result = result.to_frame(frame)
         seconds = {"load": load, **result.provenance["seconds"], "total": time.perf_counter() - start}
         provenance = {**result.provenance, "scene": str(scene), "defines": defines, "seconds": seconds}
         result = dataclasses.replace(result, provenance=provenance)

@@ -107,20 +107,18 @@ def identify(matrix: Array, covariance_of_entries: Array) -> Identifiability:
     """Decide the rank of an estimated information.
 
     Args:
-        matrix: (P, P), F̂ in comparable units; of a pose (6, 6), camera frame with scaled translation.
-        covariance_of_entries: (E, E), of its upper triangle, (21, 21) for a pose; a part that is not positive
-            semi-definite, an artefact of its own unbiased estimate, is ignored.
+        matrix: (6, 6), F̂ in the camera frame with scaled translation.
+        covariance_of_entries: (21, 21), of its upper triangle; a part that is not positive semi-definite, an
+            artefact of its own unbiased estimate, is ignored.
     """
-    P = len(matrix)
     values, vectors = np.linalg.eigh(matrix)
     values, vectors = values[::-1], vectors[:, ::-1]
     T = congruence(vectors)
     covariance = T @ covariance_of_entries @ T.T
-    normals = _standard_normals(len(covariance_of_entries))
-    noise = unpack(normals @ (_root(covariance_of_entries) @ T.T)).reshape(-1, P, P)
+    noise = unpack(_standard_normals() @ (_root(covariance_of_entries) @ T.T)).reshape(-1, 6, 6)
     floor = FLOAT32_FLOOR * max(float(values[0]), 0.0)
-    rank, threshold = P, 0.0
-    for r in range(P):
+    rank, threshold = 6, 0.0
+    for r in range(6):
         # The Frobenius norm bounds the largest eigenvalue and costs little; most seen directions exceed it.
         rest = noise[:, r:, r:]
         if values[r] > np.quantile(np.sqrt(np.sum(rest**2, axis=(1, 2))), CONFIDENCE) + floor:
@@ -242,11 +240,11 @@ def _vector(vector: Array) -> str:
     return "(" + ", ".join("0" if number == "-0" else number for number in numbers) + ")"
 
 
-@lru_cache(maxsize=4)
-def _standard_normals(entries: int) -> Array:
+@lru_cache(maxsize=1)
+def _standard_normals() -> Array:
     """One sample for every decision, so that the same information gives the same rank."""
     # In stacks of 128, whose products are too small to wake BLAS's threads (see `ustatistic`).
-    return np.random.default_rng(1948).standard_normal((_DRAWS // 128, 128, entries))
+    return np.random.default_rng(1948).standard_normal((_DRAWS // 128, 128, 21))
 
 
 def _root(covariance: Array) -> Array:

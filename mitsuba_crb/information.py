@@ -276,6 +276,15 @@ class Sums:
     plain_matrix: Array
     """(P, P), ĴᵀWĴ."""
 
+    def transform(self, old_from_new: Array) -> Sums:
+        """Aᵀ F A of the columns J A, A (P, Q), and the covariance of its entries."""
+        A, T = old_from_new, congruence(old_from_new)
+        return Sums(
+            symmetrised(A.T @ self.matrix @ A),
+            T @ self.covariance_of_entries @ T.T,
+            symmetrised(A.T @ self.plain_matrix @ A),
+        )
+
 
 class InformationAccumulator:
     """Streams the information of an image, block by block; the tiles' sizes and order do not matter.

@@ -14,7 +14,7 @@ import importlib
 import importlib.metadata
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from types import ModuleType
 from typing import Any, TypedDict, Unpack
 
@@ -22,18 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import lint, llvm, subset
-from .bound import PoseBound, cramer_rao_bound
+from .bound import PoseBound, joint_bound
 from .errors import BlindSpotWarning, NoiseError, OptionError, PrecisionWarning, RadianceError
-from .information import (
-    BLOCK,
-    Accumulator,
-    ImageJacobian,
-    InformationAccumulator,
-    PixelSelection,
-    as_noise_model,
-)
+from .information import BLOCK, Accumulator, ImageJacobian, PixelSelection, as_noise_model
 from .jacobian.finite_difference import STEP_PIXELS
+from .joint import JointAccumulator, tile_side
 from .noise import CoupledNoise, Gaussian, IndependentNoise, NoiseModel
+from .nuisance import Nuisance, nuisance_columns, open_nuisances
 from .scene import View, open_view
 
 DEFAULT_METHOD = "flow"
@@ -81,11 +76,14 @@ class MeasurementOptions(TypedDict, total=False):
     """Image motion of a finite-difference step [pixel]; other methods have none."""
 
 
-def pose_jacobian(scene: Any, **options: Unpack[MeasurementOptions]) -> ImageJacobian:
+def pose_jacobian(
+    scene: Any, *, nuisances: Sequence[str] = (), **options: Unpack[MeasurementOptions]
+) -> ImageJacobian:
     """The Jacobian dI/dξ of every selected pixel, in the camera frame.
 
     Args:
         scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
+        nuisances: names of further parameters for further columns, see `nuisance`.
         options: see `MeasurementOptions`.
 
     Returns:
@@ -98,13 +96,18 @@ def pose_jacobian(scene: Any, **options: Unpack[MeasurementOptions]) -> ImageJac
     References:
         Muthukkumar 2025, section 3; design section 4.
     """
-    with measurement(scene, **options) as run:
+    with measurement(scene, nuisances=nuisances, **options) as run:
         run.warn_of_limits()
         return run.jacobian()
 
 
 def pose_bound(
-    scene: Any, noise: NoiseModel | None = None, *, prior: Any = None, **options: Unpack[MeasurementOptions]
+    scene: Any,
+    noise: NoiseModel | None = None,
+    *,
+    prior: Any = None,
+    nuisances: Sequence[str] = (),
+    **options: Unpack[MeasurementOptions],
 ) -> PoseBound:
     """The Cramér–Rao bound on the camera's pose, tile by tile; correlated noise needs the whole Jacobian.
 
@@ -113,6 +116,8 @@ def pose_bound(
         noise: noise model of the measured image; None is Gaussian with 0.01 of the image's white, the 99th
             percentile of a pilot render.
         prior: information known beforehand, see `cramer_rao_bound`.
+        nuisances: names of parameters that are not known either, see `nuisance`. The bound's `joint` can
+            undo that, and its `if_known` says what each costs.
         options: see `MeasurementOptions`.
 
     Returns:
@@ -121,37 +126,41 @@ def pose_bound(
     Raises:
         NoiseError: the image is black and no noise was given.
         MitsubaCRBError: as `pose_jacobian`.
+
+    Warns:
+        NuisanceWarning: the image does not see a nuisance.
     """
     start = time.perf_counter()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        with measurement(scene, **options) as run:
+        with measurement(scene, nuisances=nuisances, **options) as run:
             model, origin = run.noise(noise)
             model.check(run.mask.shape[0], run.mask.shape[1], 3)
             run.warn_of_limits()
             prepared = time.perf_counter()
-            accumulator = InformationAccumulator(
+            accumulator = JointAccumulator(
+                run.parameters,
                 batches=run.batches,
                 block=run.block,
                 sampled=run.selection.kind == "random",
                 coupled=model.couples_pixels,
             )
             run.feed(accumulator, model)
-            information = accumulator.information(
-                frame="camera",
+            joint = accumulator.information(
                 variable=run.view.variable,
                 pose=run.view.pose,
                 length_scale=run.length_scale,
                 selection=run.selection,
             )
         rendered = time.perf_counter()
-        bound = cramer_rao_bound(information, prior=prior)
+        bound = joint_bound(joint.marginalize(), prior=prior)
+        inflation = joint.marginalize().information.noise_inflation
     for warning in caught:
         warnings.warn(warning.message, warning.category, stacklevel=2)
     provenance = {
         **run.provenance(),
         "noise": {**model.to_dict(), "origin": origin},
-        "noise_inflation": information.noise_inflation,
+        "noise_inflation": inflation,
         "warnings": list(dict.fromkeys(str(warning.message) for warning in caught)),
         "seconds": {
             "prepare": prepared - start,
@@ -172,6 +181,13 @@ class TileJacobian:
     """(n, 2) columns and rows."""
     mean: NDArray[np.float64]
     """(n, 3) the image there [radiance]."""
+    nuisance_values: NDArray[np.float64]
+    """(K, n, 3, m) estimates of the derivatives in the nuisance parameters."""
+
+    @property
+    def all_values(self) -> NDArray[np.float64]:
+        """(K, n, 3, 6 + m), the pose's and the nuisances' columns."""
+        return np.concatenate([self.batch_values, self.nuisance_values], axis=-1)
 
 
 @dataclasses.dataclass
@@ -186,7 +202,9 @@ class Measurement:
     tile: int
     drop_invalid: bool
     on_tile: Progress | None
-    step: dict[str, float]
+    nuisances: tuple[Nuisance, ...]
+    """Parameters that are not known beside the pose."""
+    step: dict[str, Any]
     """What the method's `prepare` takes beside the view."""
     prepared: Any
     """What the method's `prepare` returned."""
@@ -201,6 +219,11 @@ class Measurement:
         """Side of the film blocks whose errors are independent [pixel]."""
         return int(self.prepared.block)
 
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The name of each nuisance column."""
+        return tuple(nuisance.name for nuisance in self.nuisances for _ in range(nuisance.width))
+
     def provenance(self) -> dict[str, Any]:
         """How the numbers were made, JSON-able."""
         integrator = self.view.integrator
@@ -214,6 +237,7 @@ class Measurement:
             "batches": self.batches,
             "size": list(self.view.size),
             "pixels": dataclasses.asdict(self.selection),
+            "nuisances": {nuisance.name: nuisance.how for nuisance in self.nuisances},
             "integrator": type(integrator).__name__ if python else integrator.class_name(),
             "versions": versions(),
         }
@@ -260,7 +284,7 @@ class Measurement:
         for part in parts:
             image[part.pixels[:, 1], part.pixels[:, 0]] = part.mean
         return ImageJacobian(
-            batch_values=np.concatenate([part.batch_values for part in parts], axis=1),
+            batch_values=np.concatenate([part.all_values for part in parts], axis=1),
             pixels=np.concatenate([part.pixels for part in parts]),
             image=image,
             frame="camera",
@@ -269,6 +293,7 @@ class Measurement:
             length_scale=self.length_scale,
             variable=self.view.variable,
             block=self.block,
+            parameters=self.parameters,
             provenance=self.provenance(),
         )
 
@@ -281,11 +306,11 @@ class Measurement:
         """
         if isinstance(noise, CoupledNoise):
             parts = list(self.tiles())
-            values = np.concatenate([part.batch_values for part in parts], axis=1)
+            values = np.concatenate([part.all_values for part in parts], axis=1)
             accumulator.add_coupled(values, noise, np.concatenate([part.pixels for part in parts]))
             return
         for part in self.tiles():
-            accumulator.add(part.batch_values, self.weights(noise, part), part.pixels)
+            accumulator.add(part.all_values, self.weights(noise, part), part.pixels)
 
     def weights(self, noise: IndependentNoise, part: TileJacobian) -> NDArray[np.float64]:
         """The noise model's weights in a tile; where they depend on the image, on a render of its own.
@@ -300,20 +325,18 @@ class Measurement:
     def tiles(self) -> Iterator[TileJacobian]:
         """The Jacobian, one tile after the other."""
         jacobian = _module(self.method).jacobian
+        paths = {"spp": self.spp, "seed": self.seed, "batches": self.batches}
         done, total, invalid = 0, int(self.mask.sum()), 0
         for part in subset.tiles(self.mask, self.tile):
-            values, primal = jacobian(
-                self.view,
-                part,
-                spp=self.spp,
-                seed=self.seed,
-                batches=self.batches,
-                prepared=self.prepared,
-            )
+            values, images = jacobian(self.view, part, **paths, prepared=self.prepared)
+            values, film = values[..., :6], values[..., 6:]
+            others = nuisance_columns(self.nuisances, self.view, part, images, film, **paths)
+            primal = images.mean(axis=0)
             done += len(part)
             good = np.isfinite(values).all(axis=(0, 2, 3)) & np.isfinite(primal).all(axis=1)
+            good &= np.isfinite(others).all(axis=(0, 2, 3))
             invalid += int((~good).sum())
-            tile = TileJacobian(values[:, good], part[good], primal[good])
+            tile = TileJacobian(values[:, good], part[good], primal[good], others[:, good])
             if self.on_tile is not None:
                 self.on_tile(tile, done, total)
             if self.drop_invalid or not invalid:
@@ -342,24 +365,30 @@ def measurement(
     drop_invalid: bool = False,
     on_tile: Progress | None = None,
     step_pixels: float = STEP_PIXELS,
+    nuisances: Sequence[str] = (),
 ) -> Iterator[Measurement]:
-    """A view, opened and prepared, as `MeasurementOptions` says; the scene is as before afterwards."""
+    """A view, opened and prepared, as `MeasurementOptions` and `pose_bound` say; unchanged afterwards."""
     _check_options(method, spp, seed, batches, tile)
     with open_view(scene, sensor=sensor, pose=pose, integrator=integrator, size=size) as view:
         from .jacobian.pixels import visible_depth
 
         visible = visible_depth(view)
         mask, selection = subset.choose(pixels, view.size, seed, lambda: _pilot_image(view, seed, tile))
-        step = {"step_pixels": step_pixels} if method == "finite_difference" else {}
+        unknown = open_nuisances(view, nuisances, method)
+        step: dict[str, Any] = {"step_pixels": step_pixels} if method == "finite_difference" else {}
+        if method == "flow":
+            step["film_flows"] = tuple(flow for each in unknown for flow in each.film_flows)
+        side = tile_side(tuple(nuisances))
         yield Measurement(
             view=view,
             method=method,
             spp=spp,
             seed=seed,
             batches=batches,
-            tile=tile,
+            tile=tile if side is None else side * max(1, tile // side),
             drop_invalid=drop_invalid,
             on_tile=on_tile,
+            nuisances=unknown,
             step=step,
             prepared=_module(method).prepare(view, **step),
             length_scale=float(np.median(visible)) if visible.size else 1.0,

@@ -67,12 +67,12 @@ def jacobian(
         prepared: what `prepare` returned for this view, so that many tiles prepare once.
 
     Returns:
-        (batches, n, 3, 6) Jacobians [radiance / scene unit, radiance / rad], and the image (n, 3), the mean
-        of the twelve renders.
+        (batches, n, 3, 6) Jacobians [radiance / scene unit, radiance / rad], and the image (batches, n, 3),
+        the mean of the twelve renders.
     """
     per_axis = (prepared or prepare(view)).steps
     values = np.empty((batches, len(pixels), 3, 6))
-    image = np.zeros((len(pixels), 3))
+    image = np.zeros((batches, len(pixels), 3))
     for axis in range(6):
         values[..., axis], mean = column(
             view, pixels, axis, per_axis[axis], spp=spp, seed=seed, batches=batches
@@ -91,7 +91,7 @@ def column(
     seed: int,
     batches: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """dI/dξ_axis (batches, n, 3) in the camera frame, and the mean of its two renders (n, 3)."""
+    """dI/dξ_axis (batches, n, 3) in the camera frame, and the mean of its two renders, likewise."""
     twist = np.zeros(6)
     twist[axis] = step
     plus, minus = (
@@ -100,4 +100,4 @@ def column(
         )
         for xi in (twist, -twist)
     )
-    return (plus - minus) / (2.0 * step), 0.5 * (plus + minus).mean(axis=0)
+    return (plus - minus) / (2.0 * step), 0.5 * (plus + minus)

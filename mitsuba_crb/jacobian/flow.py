@@ -32,6 +32,7 @@ from ..errors import SensorError
 from ..information import BLOCK
 from . import finite_difference
 from .contours import Contours, find_contours, parallax_term
+from .film import FilmFlow, FilmMap
 from .pairs import GOLDEN, BoxPairs, PairSample, SmoothPairs, filter_pairs
 from .paths import IntegratorTracer, PathTracer, tracer
 from .pixels import (
@@ -70,6 +71,8 @@ class Prepared:
     """World from camera."""
     focal: mi.Vector2f
     """d(film point)/d(q_x/q_z, q_y/q_z), the focal lengths with their signs [pixel]."""
+    film_flows: tuple[FilmFlow, ...]
+    """Of parameters that act on the film alone; each adds a column after the twist's six."""
 
     @property
     def block(self) -> int:
@@ -77,8 +80,11 @@ class Prepared:
         return BLOCK if isinstance(self.contours, Contours) and len(self.contours.piece) else 1
 
 
-def prepare(view: View) -> Prepared:
+def prepare(view: View, film_flows: tuple[FilmFlow, ...] = ()) -> Prepared:
     """Tables of the filter, materials that need a view term, and contours.
+
+    Args:
+        film_flows: of parameters that act on the film alone, each for a further column.
 
     Raises:
         FilmError: the reconstruction filter is not known.
@@ -96,18 +102,14 @@ def prepare(view: View) -> Prepared:
             "a thin lens among participating media or radiance fields shows method 'flow' no surface points "
             "to follow: use method finite_difference, or a perspective sensor"
         )
-    width, height = view.size
-    film = mi.Point2f([0.0, width], [0.0, height])
-    ray, _ = camera_ray(view, film, mi.Point2f(0.5, 0.5))
-    tangent = np.array([ray.d.x / ray.d.z, ray.d.y / ray.d.z], dtype=np.float64)
-    focal = np.array([width, height]) / (tangent[:, 1] - tangent[:, 0])
     return Prepared(
         filter_pairs(PixelFilter.of(view)),
         None if volumes else ViewTerm.of(view, camera_paths),
         finite_difference.prepare(view) if volumes else find_contours(view),
         camera_paths,
         opaque_transform(view.pose),
-        mi.Vector2f(*(dr.opaque(mi.Float, float(value)) for value in focal)),
+        mi.Vector2f(*(dr.opaque(mi.Float, float(value)) for value in FilmMap.of(view).focal)),
+        film_flows,
     )
 
 
@@ -140,7 +142,8 @@ def jacobian(
         prepared: what `prepare` returned for this view, so that many tiles prepare once.
 
     Returns:
-        (batches, n, 3, 6) Jacobians [radiance / scene unit, radiance / rad], and the image (n, 3).
+        (batches, n, 3, 6 + m) Jacobians [radiance / scene unit, radiance / rad, and per unit of the m film
+        parameters], and the image (batches, n, 3).
     """
     prepared = prepare(view) if prepared is None else prepared
     baseline = render_pixels(view, pixels, spp=PILOT_SPP, seed=seed, purpose=PILOT)[0]
@@ -148,7 +151,7 @@ def jacobian(
         view, prepared, pixels, baseline, spp=spp, seed=seed, batches=batches
     )
     if isinstance(prepared.contours, Contours):
-        values += parallax_term(
+        values[..., :6] += parallax_term(
             view, prepared.contours, pixels, baseline, spp=spp, seed=seed, batches=batches
         )
     else:
@@ -196,10 +199,9 @@ def filter_and_view_terms(
         dr.opaque(mi.UInt32, pairs.kinds if few else 1),
     )
     dr.eval(columns, image)
-    values = np.stack([download(column) for column in columns])  # (6, 3, lanes)
-    values = values.reshape(6, 3, len(pixels), batches).transpose(3, 2, 1, 0)
-    means = download(image).reshape(3, len(pixels), batches).mean(axis=2).T
-    return values, means
+    values = np.stack([download(column) for column in columns])  # (6 + m, 3, lanes)
+    values = values.reshape(-1, 3, len(pixels), batches).transpose(3, 2, 1, 0)
+    return values, download(image).reshape(3, len(pixels), batches).transpose(2, 1, 0)
 
 
 @dr.syntax  # type: ignore[untyped-decorator]  # Dr.Jit is untyped here
@@ -213,13 +215,13 @@ def _sum_pairs(
     number: mi.UInt32,
     starts: mi.UInt32,
 ) -> tuple[list[mi.Color3f], mi.Color3f]:
-    """Six columns and the image of each lane; equal kernels for all tiles, seeds and poses."""
+    """The columns and the image of each lane; equal kernels for all tiles, seeds and poses."""
     import mitsuba as mi
 
     pairs, transform = prepared.pairs, prepared.transform
     view_term: Any = prepared.view_term
     world_to_camera = transform.inverse()
-    columns = [mi.Color3f(0.0) for _ in range(6)]
+    columns = [mi.Color3f(0.0) for _ in range(6 + len(prepared.film_flows))]
     image = mi.Color3f(0.0)
     shift = sampler.next_2d()
     start = mi.UInt32(sampler.next_1d() * mi.Float(starts))
@@ -242,7 +244,8 @@ def _sum_pairs(
         across = shift.y + turn * GOLDEN
         half = pairs.draw(kind, along - dr.floor(along), across - dr.floor(across), mirrored, counts)
 
-        ray, importance = camera_ray(view, centre + mi.Vector2f(half.offset), path_sampler.next_2d())
+        film = centre + mi.Vector2f(half.offset)
+        ray, importance = camera_ray(view, film, path_sampler.next_2d())
         world_ray = move_ray(ray, transform)
         if dr.hint(view_term is not None, mode="scalar"):
             angle = path_sampler.next_1d()
@@ -258,7 +261,8 @@ def _sum_pairs(
         normal = world_to_camera @ mi.Vector3f(seen.hit.n)
         valid = seen.hit.is_valid()
         weights = _divergences(half, ray, lens, valid, distance, normal, prepared.focal)
-        for k in range(6):
+        weights += [_film_divergence(half, film, flow) for flow in prepared.film_flows]
+        for k in range(len(weights)):
             columns[k] += (light - baseline) * weights[k]
         # With the baseline: the weights' own noise, whose mean is 1, would otherwise scale the whole image.
         image += (light - baseline) * half.value
@@ -290,6 +294,12 @@ def _tangent(direction: mi.Vector3f, turn: mi.Float, mirrored: mi.Bool) -> mi.Ve
 
     sin, cos = dr.sincos(dr.two_pi * (turn + dr.select(mirrored, 0.25, 0.0)))
     return mi.Vector3f(mi.Frame3f(direction).to_world(mi.Vector3f(cos, sin, 0.0)))
+
+
+def _film_divergence(half: PairSample, film: mi.Point2f, flow: FilmFlow) -> mi.Float:
+    """∇·(h w) over the sample's density."""
+    x, y = flow.scale * film.x + flow.offset.x, flow.scale * film.y + flow.offset.y
+    return half.gradient.x * x + half.gradient.y * y + 2.0 * flow.scale * half.value
 
 
 def _divergences(

@@ -72,23 +72,21 @@ def jacobian(
         prepared: what `prepare` returned for this view, so that many tiles prepare once.
 
     Returns:
-        (batches, n, 3, 6) Jacobians [radiance / scene unit, radiance / rad], and the image (n, 3).
+        (batches, n, 3, 6) Jacobians [radiance / scene unit, radiance / rad], and the image (batches, n, 3).
 
     Raises:
         IntegratorError: the integrator detaches camera rays.
     """
     prepared = prepared or prepare(view)
     values = np.empty((batches, len(pixels), 3, 6))
-    image = np.empty((len(pixels), 3))
+    image = np.empty((batches, len(pixels), 3))
     count = max(1, MAX_LANES // spp)
     for start in range(0, len(pixels), count):
         part = slice(start, start + count)
         for axis in range(6):
             column, primal = _column(view, prepared.pixel_filter, pixels[part], spp, seed, axis)
-            values[:, part, :, axis] = (
-                column.reshape(-1, batches, spp // batches, 3).mean(axis=2).swapaxes(0, 1)
-            )
-        image[part] = primal.mean(axis=1)
+            values[:, part, :, axis] = per_batch(column, batches)
+        image[:, part] = per_batch(primal, batches)
     return values, image
 
 
@@ -110,10 +108,17 @@ def _column(
     moved = move_ray(ray, _attached_transform(view.pose, twist))
     value = weight * importance * radiance(view, sampler, moved)
     dr.forward_from(twist[axis])
-    return _per_path(dr.grad(value), spp), _per_path(dr.detach(value), spp)
+    return per_path(dr.grad(value), spp), per_path(dr.detach(value), spp)
 
 
-def _per_path(color: mi.Color3f, spp: int) -> NDArray[np.float64]:
+def per_batch(paths: NDArray[np.float64], batches: int) -> NDArray[np.float64]:
+    """Means (batches, n, 3) of (n, spp, 3)."""
+    means: NDArray[np.float64] = paths.reshape(len(paths), batches, -1, 3).mean(axis=2).swapaxes(0, 1)
+    return means
+
+
+def per_path(color: mi.Color3f, spp: int) -> NDArray[np.float64]:
+    """(n, spp, 3) of one lane per path."""
     return np.array(color, dtype=np.float64).T.reshape(-1, spp, 3)
 
 

@@ -5,9 +5,10 @@ With F = [[A, B], [Bᵀ, D]] the information of (ξ, η), a known η leaves A, a
     A − B D⁻¹ Bᵀ = Gᵀ F G,   G = [1; −D⁻¹ Bᵀ],
 
 the least of GᵀFG over all G with 1 on top. So noise in G counts in second order only, δ(GᵀFG) = Gᵀ δF G,
-which gives the covariance of the entries. D⁻¹ is the pseudo-inverse on what is seen of η (`identifiability`):
-what the image does not see has no coupling either. Nuisances leave one after the other, in the order of their
-columns, so that each can only take information away.
+which gives the covariance of the entries. Columns leave one after the other, in their order, so that each can
+only take information away; one that the image does not see, or cannot tell from those before it, has no
+coupling left and takes none. Neither does one that noise hides: what is left is then too small a bound, which
+still is a bound.
 
 A nuisance with a value of its own in every tile of the image ("gain:32") is in that tile's information only,
 and leaves it tile by tile: Gᵀ F_tile G is the information of the tile's columns J G. Memory does not grow
@@ -30,7 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import se3
 from .errors import NuisanceError, PixelsError
-from .identifiability import identify
+from .identifiability import FLOAT32_FLOOR
 from .information import (
     BLOCK,
     FisherInformation,
@@ -43,9 +44,11 @@ from .information import (
 )
 from .noise import CoupledNoise, NoiseModel
 from .se3 import Array
-from .symmetric import congruence
 
 Columns = list[int]
+
+RESOLVED = 5.0
+"""Standard errors of a column's information above which it counts; below, 1/D would be mostly noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,24 +125,25 @@ class JointInformation:
             raise NuisanceError(f"say of {', '.join(undecided)} whether to marginalize() or to fix() it")
         unknown = [name for name in self.names if self.treatment[name] == "marginalized"]
         sums = self.sums[frozenset(unknown) & frozenset(self.per_tile)]
-        G = _eliminate(sums, [self._columns(name) for name in unknown if name not in self.per_tile])
-        T = congruence(G)
+        G = _eliminate(sums, [6 + k for k, name in enumerate(self.parameters) if name in unknown])
+        pose = sums.transform(G)
         return FisherInformation(
-            matrix=G.T @ sums.matrix @ G,
-            covariance_of_entries=T @ sums.covariance_of_entries @ T.T,
+            matrix=pose.matrix,
+            covariance_of_entries=pose.covariance_of_entries,
             frame="camera",
             variable=self.variable,
             pose=se3.as_pose(self.pose),
             length_scale=self.length_scale,
             selection=self.selection,
-            plain_matrix=G.T @ sums.plain_matrix @ G,
+            plain_matrix=pose.plain_matrix,
         )
 
     @property
     def unseen(self) -> tuple[str, ...]:
         """Nuisances of the whole image that it does not see at all, even with everything else known."""
-        sums, names = self.sums[frozenset()], dict.fromkeys(self.parameters)
-        return tuple(name for name in names if not _seen(sums, self._columns(name))[1].any())
+        sums, one = self.sums[frozenset()], np.eye(6 + len(self.parameters))
+        seen = {name for k, name in enumerate(self.parameters, start=6) if _seen(sums, one[k], k)}
+        return tuple(name for name in dict.fromkeys(self.parameters) if name not in seen)
 
     def to_dict(self) -> dict[str, Any]:
         """The joint information as JSON-able values."""
@@ -149,9 +153,6 @@ class JointInformation:
             "matrix": self.matrix.tolist(),
             "treatment": dict(self.treatment),
         }
-
-    def _columns(self, name: str) -> Columns:
-        return [6 + k for k, parameter in enumerate(self.parameters) if parameter == name]
 
     def _treat(self, names: tuple[str, ...], how: Literal["marginalized", "fixed"]) -> JointInformation:
         self._check(names)
@@ -263,7 +264,8 @@ class JointAccumulator:
         sums = own.sums(PixelSelection("only", len(index), len(index), "a nuisance's tile"))
         others = [c for c in range(values.shape[-1]) if not any(c in own for own in self._local.values())]
         for subset, part in self._parts.items():
-            G = _eliminate(sums, [self._local[name] for name in self._local if name in subset], others)
+            unknown = [c for name in self._local if name in subset for c in self._local[name]]
+            G = _eliminate(sums, unknown, others)
             part.add(values @ G, weights, pixels)
 
 
@@ -320,37 +322,29 @@ def _side_of(name: str) -> int | None:
     return int(found[1]) if found else None
 
 
-def _seen(sums: Sums, columns: Columns) -> tuple[Array, Array]:
-    """Directions (q, r) of some columns that the image sees, and their information (r,)."""
-    D = sums.matrix[np.ix_(columns, columns)]
-    diagonal = np.abs(np.diagonal(D))
-    d = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    # Rows of the whole are picked and scaled at once.
-    S = np.zeros((len(sums.matrix), len(columns)))
-    S[columns, np.arange(len(columns))] = d
-    T = congruence(S)
-    found = identify(S.T @ sums.matrix @ S, T @ sums.covariance_of_entries @ T.T)
-    return d[:, None] * found.seen, found.eigenvalues[: found.rank]
-
-
-def _eliminate(sums: Sums, groups: list[Columns], kept: Columns | None = None) -> Array:
-    """G (P, len(kept)) that takes unknown columns, group by group, out of an information.
+def _eliminate(sums: Sums, unknown: Columns, kept: Columns | None = None) -> Array:
+    """G (P, len(kept)) that takes unknown columns, one by one, out of an information.
 
     Args:
         sums: of all P columns.
-        groups: columns that are unknown.
+        unknown: columns of parameters that are not known.
         kept: columns that stay, the twist's six by default; all others are known.
     """
-    kept = list(range(6)) if kept is None else kept
-    left = kept + [column for group in groups for column in group]
+    left = [*(range(6) if kept is None else kept), *unknown]
     G = np.eye(len(sums.matrix))[:, left]
-    for group in groups:
-        T = congruence(G)
-        now = Sums(G.T @ sums.matrix @ G, T @ sums.covariance_of_entries @ T.T, sums.plain_matrix)
-        own = [left.index(column) for column in group]
-        rest = [k for k in range(len(left)) if k not in own]
-        directions, information = _seen(now, own)
-        step = np.eye(len(left))[:, rest]
-        step[own] = -(directions / information) @ directions.T @ now.matrix[np.ix_(own, rest)]
-        G, left = G @ step, [left[k] for k in rest]
+    for column in unknown:
+        own = left.index(column)
+        row = G[:, own] @ sums.matrix @ G
+        step = np.delete(np.eye(len(left)), own, axis=1)
+        if _seen(sums, G[:, own], column):
+            step[own] = -np.delete(row, own) / row[own]
+        G = G @ step
+        left.remove(column)
     return G
+
+
+def _seen(sums: Sums, direction: Array, column: int) -> bool:
+    """Whether the information along a direction (P,), what is left of a column, exceeds noise."""
+    own = sums.transform(direction[:, None])
+    noise = RESOLVED * np.sqrt(max(float(own.covariance_of_entries[0, 0]), 0.0))
+    return bool(own.matrix[0, 0] > noise + FLOAT32_FLOOR * sums.plain_matrix[column, column])

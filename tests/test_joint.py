@@ -9,7 +9,7 @@ import pytest
 
 from mitsuba_crb.errors import NuisanceError, PixelsError
 from mitsuba_crb.information import BLOCK, InformationAccumulator, PixelSelection
-from mitsuba_crb.joint_information import JointAccumulator
+from mitsuba_crb.joint import JointAccumulator
 from mitsuba_crb.symmetric import pack
 
 ALL = PixelSelection("all", 16 * 32, 16 * 32, "all")
