@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .jacobian import finite_difference
-from .jacobian.pixels import camera_ray, coarse_grid, first_hits, move_ray, opaque_transform
+from .jacobian.pixels import camera_ray, coarse_grid, first_hits, move_ray, opaque_transform, upload, widened
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -40,6 +40,39 @@ def precision_findings(view: View) -> list[str]:
         f"{spacing:.2g} apart, more than 1 % of the finite-difference step {step:.2g}: move scene and "
         "camera nearer to the origin"
     ]
+
+
+def is_cut_by_near_plane(view: View) -> bool:
+    """Whether a surface crosses the near plane in view: neighbours, one blocked before it, one seen at it."""
+    grid = np.asarray(coarse_grid(view.size, _GRID) + 0.5, dtype=np.float64)
+    blocked = _near(view, grid.reshape(-1, 2))[0].reshape(grid.shape[:2])
+    if blocked.all() or not blocked.any():
+        return False
+    across, down = blocked[:, :-1] != blocked[:, 1:], blocked[:-1] != blocked[1:]
+    low = widened(np.concatenate([grid[:, :-1][across], grid[:-1][down]]))
+    high = widened(np.concatenate([grid[:, 1:][across], grid[1:][down]]))
+    first = _near(view, low)[0]
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        same = (_near(view, middle)[0] == first)[:, None]
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    depth = np.minimum(_near(view, low)[1], _near(view, high)[1])
+    return bool(np.any(depth < 1.02 * view.near_clip))
+
+
+def _near(view: View, film: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Whether anything lies before the near plane at film points (n, 2) [pixel], and the depth behind it."""
+    import drjit as dr
+    import mitsuba as mi
+
+    x, y = (upload(mi.Float, coordinate) for coordinate in film.T)
+    ray, _ = camera_ray(view, mi.Point2f(x, y), mi.Point2f(0.5, 0.5))
+    transform, to_lens = opaque_transform(view.pose), ray.o.z / ray.d.z
+    hit = view.scene.ray_intersect_preliminary(move_ray(ray, transform))
+    depth = dr.select(hit.is_valid(), dr.fma(hit.t, ray.d.z, ray.o.z), dr.inf)
+    before = mi.Ray3f(mi.Point3f(ray.o - to_lens * ray.d), ray.d, to_lens, 0.0, ray.wavelengths)
+    blocked = view.scene.ray_test(move_ray(before, transform))
+    return np.array(blocked, dtype=bool), np.array(depth, dtype=np.float64)
 
 
 def discontinuities(view: View) -> list[str]:

@@ -263,6 +263,14 @@ class Measurement:
         """Warn of float32, and by name of what the method cannot see here."""
         for text in lint.precision_findings(self.view):
             warnings.warn(text, PrecisionWarning, stacklevel=4)
+        if self.method != "finite_difference" and lint.is_cut_by_near_plane(self.view):
+            warnings.warn(
+                f"the near plane at {self.view.near_clip:g} cuts surfaces in view, and method "
+                f"{self.method!r} misses that the cut moves with the camera: any direction may be "
+                "under-informed; lower near_clip or use finite_difference",
+                BlindSpotWarning,
+                stacklevel=4,
+            )
         if self.method == "forward":
             for finding in lint.discontinuities(self.view):
                 warnings.warn(

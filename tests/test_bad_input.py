@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 from small_scenes import T, camera, scene, texture, wall
 
 from mitsuba_crb import cli, pose_bound, pose_jacobian
-from mitsuba_crb.errors import PoseError, SceneError
+from mitsuba_crb.errors import BlindSpotWarning, PoseError, SceneError
 from mitsuba_crb.noise import Gaussian
 from mitsuba_crb.scene import open_view
 
@@ -149,3 +150,25 @@ def test_faces_without_area_or_not_finite_change_nothing() -> None:
         gc.collect()
     assert np.all(np.isfinite(values[1]))
     assert values[1] == pytest.approx(values[0], abs=1e-5 * np.abs(values[0]).max())
+
+
+@pytest.mark.parametrize(
+    ("kind", "near", "cut"),
+    [
+        ("perspective", 0.2, False),
+        ("perspective", 1.8, True),
+        ("thinlens", 1.8, True),
+        ("perspective", 2.6, False),
+    ],
+)
+def test_surfaces_that_the_near_plane_cuts_are_named(kind: str, near: float, cut: bool) -> None:
+    """A sphere beyond, across and wholly before the near plane; the last leaves no edge in the image."""
+    lens = {"aperture_radius": 0.01, "focus_distance": 3.0} if kind == "thinlens" else {}
+    sensor = camera() | lens | {"type": kind, "near_clip": near}
+    ball = {"type": "sphere", "center": [0, 0, 2], "radius": 0.5}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        pose_jacobian(scene(wall=wall(texture()), ball=ball, sensor=sensor), spp=4)
+    named = [str(w.message) for w in caught if issubclass(w.category, BlindSpotWarning)]
+    assert len(named) == cut
+    assert all("near plane" in text and "any direction" in text for text in named)
