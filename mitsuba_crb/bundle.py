@@ -30,7 +30,7 @@ from scipy.linalg import block_diag
 from . import se3
 from .errors import PointsError
 from .information import FisherInformation, PixelSelection
-from .pose_graph import JointInformation, PoseGraph
+from .pose_graph import JointPoseInformation, PoseGraph
 from .se3 import Array
 from .significance import no_information
 
@@ -123,7 +123,7 @@ def point_information(points: ArrayLike, view: PointView) -> FisherInformation:
     )
 
 
-def joint_point_information(points: ArrayLike, views: Sequence[PointView]) -> JointInformation:
+def joint_point_information(points: ArrayLike, views: Sequence[PointView]) -> JointPoseInformation:
     """What several cameras' images of unknown points tell of their poses together: S above, 6A x 6A, exact.
 
     Args:
@@ -149,7 +149,7 @@ def joint_point_information(points: ArrayLike, views: Sequence[PointView]) -> Jo
         left = by_pose - known @ (known.T @ by_pose)
         columns = np.concatenate([6 * k + np.arange(6) for k, _ in rows])
         matrix[np.ix_(columns, columns)] += left.T @ left
-    return JointInformation(tuple(view.variable for view in views), matrix)
+    return JointPoseInformation(tuple(view.variable for view in views), matrix)
 
 
 def bundle_adjustment(points: ArrayLike, views: Sequence[PointView]) -> PoseGraph:

@@ -67,7 +67,7 @@ class RelativePose:
 
 
 @dataclass(frozen=True, eq=False)
-class JointInformation:
+class JointPoseInformation:
     """What one measurement tells of several poses together, such as points that they all see."""
 
     variables: tuple[str, ...]
@@ -111,7 +111,7 @@ class PoseGraph:
         relative: Sequence[RelativePose] = (),
         *,
         shared: SharedNuisance | None = None,
-        joint: Sequence[JointInformation] = (),
+        joint: Sequence[JointPoseInformation] = (),
     ) -> None:
         """Collect what is known; nothing is decided before it is asked for.
 

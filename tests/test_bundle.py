@@ -21,7 +21,7 @@ from mitsuba_crb.bundle import (
     point_information,
 )
 from mitsuba_crb.errors import FusionError, PointsError
-from mitsuba_crb.pose_graph import JointInformation, PoseGraph
+from mitsuba_crb.pose_graph import JointPoseInformation, PoseGraph
 
 CAMERA = Pinhole(focal=(520.0, 480.0), centre=(310.0, 250.0))
 SIGMA = 0.7
@@ -302,6 +302,6 @@ class TestBadInput:
         with pytest.raises(FusionError, match="different variables, not \\[\\]"):
             joint_point_information(points, [])
         with pytest.raises(FusionError, match="12 x 12 matrix"):
-            JointInformation(("a", "b"), np.eye(6))
+            JointPoseInformation(("a", "b"), np.eye(6))
         with pytest.raises(FusionError, match="no pose is called 'b'"):
-            PoseGraph([made(np.eye(6), variable="a")], joint=[JointInformation(("a", "b"), np.eye(12))])
+            PoseGraph([made(np.eye(6), variable="a")], joint=[JointPoseInformation(("a", "b"), np.eye(12))])
