@@ -60,6 +60,12 @@ LAMP = {
     "to_world": T().translate([0, 1.5, -0.5]).scale([0.5, 0.3, 1]),
     "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 8.0}},
 }
+# A lamp before the box lights it, and has a silhouette that only other cameras would see.
+HIDDEN = scene(
+    wall=wall(),
+    box=BOX,
+    lamp={"type": "sphere", "center": [0.15, 0.2, 1.5], "radius": 0.15, "emitter": {"type": "area"}},
+) | {"integrator": {"type": "path", "max_depth": 2, "hide_emitters": True}}
 
 
 @pytest.mark.parametrize(
@@ -73,8 +79,19 @@ LAMP = {
         (scene(wall=wall(), cylinder=CYLINDER), 0.05),
         (scene(wall=wall(), disk=DISK), 0.05),
         (scene(wall=CONDUCTOR, lamp=LAMP), 0.05),
+        (HIDDEN, 0.05),
     ],
-    ids=["bilinear", "checkerboard", "nearest", "box", "sphere", "cylinder", "disk", "rough conductor"],
+    ids=[
+        "bilinear",
+        "checkerboard",
+        "nearest",
+        "box",
+        "sphere",
+        "cylinder",
+        "disk",
+        "rough conductor",
+        "hidden lamp",
+    ],
 )
 def test_flow_agrees_with_finite_differences(which: Any, tolerance: float) -> None:
     _assert_agree(*_informations(which, (256, 256)), tolerance)
