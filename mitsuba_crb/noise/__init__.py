@@ -18,6 +18,7 @@ from .gaussian import PerPixel as PerPixel
 from .heavy_tails import Laplace as Laplace
 from .heavy_tails import StudentT as StudentT
 from .heteroscedastic import Heteroscedastic as Heteroscedastic
+from .low_rank import LowRankPlusDiagonal as LowRankPlusDiagonal
 from .poisson_gaussian import PoissonGaussian as PoissonGaussian
 from .protocol import CoupledNoise as CoupledNoise
 from .protocol import IndependentNoise as IndependentNoise
@@ -25,3 +26,6 @@ from .protocol import NoiseModel as NoiseModel
 from .protocol import ScalarNoise as ScalarNoise
 from .sensor import Quantisation as Quantisation
 from .sensor import Sensor as Sensor
+from .sparse import SparsePrecision as SparsePrecision
+from .stationary import Periodic as Periodic
+from .stationary import Stationary as Stationary
