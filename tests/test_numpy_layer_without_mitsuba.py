@@ -24,7 +24,7 @@ from mitsuba_crb import coordinates, hcr, joint, pixel_information, regularised
 from mitsuba_crb import noise, se3, symmetric, ustatistic
 from mitsuba_crb import covariance_intersection, entry_noise, fusion, information_filter, joint_state, message
 from mitsuba_crb import message_layout, pose_graph, quantisation, shared_nuisance, significance
-from mitsuba_crb import criteria, greedy, relaxation, selection, tile_grid, tiles
+from mitsuba_crb import criteria, greedy, relaxation, selection, team, tile_grid, tiles
 
 J = np.random.default_rng(0).normal(size=(4, 64, 3, 6))
 J[:] = J[0]
