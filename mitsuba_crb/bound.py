@@ -26,6 +26,7 @@ from .identifiability import PoseDirection, readable_basis, weakest_direction
 from .information import FisherInformation
 from .inverse import Inverse
 from .joint import JointInformation
+from .prior import PosePrior
 from .se3 import Array, Frame
 
 ALL_NUISANCES = "all of them"
@@ -182,6 +183,17 @@ class PoseBound:
                 "direction": jsonable(self.weakest.direction),
                 "description": self.weakest.description,
             },
+            "nuisances": {
+                "how": self.provenance.get("nuisances", {}),
+                "joint": self.joint.to_dict() if self.joint is not None and self.joint.names else None,
+                "if_known": {
+                    name: {
+                        "position_std": jsonable(known.position_std),
+                        "rotation_std_deg": jsonable(known.rotation_std_deg),
+                    }
+                    for name, known in self.if_known.items()
+                },
+            },
             "optimality": {k: jsonable(v) for k, v in vars(self.optimality).items()},
         }
 
@@ -203,7 +215,7 @@ class PoseBound:
 
 
 def cramer_rao_bound(
-    information: FisherInformation, *, prior: FisherInformation | ArrayLike | None = None
+    information: FisherInformation, *, prior: FisherInformation | PosePrior | ArrayLike | None = None
 ) -> PoseBound:
     """The Cramér–Rao bound F⁻¹ of a pose, or (F + P)⁻¹ with a prior.
 
@@ -212,8 +224,9 @@ def cramer_rao_bound(
 
     Args:
         information: of the pose, in any frame; the bound's matrices come in the same one.
-        prior: information known beforehand, exact. A 6 x 6 matrix in `information`'s frame, or an information
-            of the same variable, frame and pose, of which the part that it sees itself counts.
+        prior: information known beforehand, exact. A `PosePrior` in a frame of its own, a 6 x 6 matrix in
+            `information`'s frame, or an information of the same variable, frame and pose, of which the part
+            that it sees itself counts.
 
     Raises:
         FrameError: the prior belongs to another variable, frame or pose.
@@ -259,7 +272,9 @@ def cramer_rao_bound(
     return bound
 
 
-def joint_bound(joint: JointInformation, *, prior: FisherInformation | ArrayLike | None = None) -> PoseBound:
+def joint_bound(
+    joint: JointInformation, *, prior: FisherInformation | PosePrior | ArrayLike | None = None
+) -> PoseBound:
     """The Cramér–Rao bound of a pose among nuisance parameters, in the camera frame, and what each costs.
 
     Args:

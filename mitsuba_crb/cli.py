@@ -186,6 +186,22 @@ def bound(
             help="Standard deviation of the pixel noise (radiance); default: 0.01 of the image's white.",
         ),
     ] = None,
+    marginalize: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="A parameter that is not known either: gain, black, fov, principal_point, gain:32 (one in "
+            "every 32x32 tile), or a scene parameter's name in mi.traverse; repeatable.",
+        ),
+    ] = None,
+    prior: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="What is known of the pose beforehand (.toml, .json): a frame, and information, covariance, "
+            "or position_std and rotation_std_deg.",
+        ),
+    ] = None,
     pixels: Annotated[
         str | None,
         typer.Option(metavar="random:F|gradient:F|MASK.png", help="Which pixels to measure; default: all."),
@@ -216,8 +232,12 @@ def bound(
         options = _view_options(sensor, pose, size, spp, seed, batches)
         defines = parse_defines(define)
         noise = None if sigma is None else Gaussian(sigma)
-        inputs = [scene, *([Path(pixels)] if pixels else []), *filter(None, [pose_file(pose)])]
+        inputs = [scene, *([Path(pixels)] if pixels else []), *filter(None, [pose_file(pose), prior])]
         _check_targets({"--json": json_file, "--exr": exr_file, "--plot": plot_file}, inputs)
+
+        from .prior import load_prior
+
+        known = load_prior(prior) if prior else None
 
         from .export import Gathering, bound_document, write_exr, write_json
         from .measure import pose_bound
@@ -237,6 +257,8 @@ def bound(
             result = pose_bound(
                 loaded,
                 noise,
+                prior=known,
+                nuisances=marginalize or (),
                 method=method,
                 pixels=pixels,
                 drop_invalid=drop_invalid,
@@ -246,6 +268,8 @@ def bound(
             result = result.to_frame(frame)
         seconds = {"load": load, **result.provenance["seconds"], "total": time.perf_counter() - start}
         provenance = {**result.provenance, "scene": str(scene), "defines": defines, "seconds": seconds}
+        if prior:
+            provenance["prior"] = str(prior)
         result = dataclasses.replace(result, provenance=provenance)
         try:
             if json_file is not None:

@@ -55,6 +55,10 @@ class NuisanceError(MitsubaCRBError):
     """A nuisance parameter does not exist, has no derivative, or was named twice."""
 
 
+class PriorError(MitsubaCRBError):
+    """What is said to be known of a pose beforehand is no information matrix in a known frame."""
+
+
 class RadianceError(MitsubaCRBError):
     """The renderer returned radiance that is not finite."""
 

@@ -60,6 +60,7 @@ _PROVENANCE_KEYS = (
     "size",
     "pixels",
     "noise",
+    "prior",
 )
 _BOUND_KEYS = (
     "frame",
@@ -254,6 +255,7 @@ def bound_document(bound: PoseBound) -> dict[str, Any]:
         **{key: provenance.get(key) for key in _PROVENANCE_KEYS},
         "pose": bound.information.pose,
         **{key: values[key] for key in _BOUND_KEYS},
+        "nuisances": values["nuisances"],
         "noise_inflation": provenance.get("noise_inflation"),
         "warnings": provenance.get("warnings", []),
         "versions": provenance.get("versions", {}),

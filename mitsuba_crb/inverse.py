@@ -22,6 +22,7 @@ from . import se3
 from .errors import OptionError
 from .identifiability import FLOAT32_FLOOR, Identifiability, identify
 from .information import FisherInformation
+from .prior import PosePrior
 from .se3 import Array
 from .symmetric import congruence, pack
 
@@ -38,7 +39,9 @@ class Inverse:
     hidden: N, what the information does not see; open: the part of it that the prior does not see either.
     """
 
-    def __init__(self, information: FisherInformation, prior: FisherInformation | ArrayLike | None) -> None:
+    def __init__(
+        self, information: FisherInformation, prior: FisherInformation | PosePrior | ArrayLike | None
+    ) -> None:
         camera = information.to_frame("camera")
         self.length_scale = camera.length_scale
         self.scale = camera.scale
@@ -113,10 +116,14 @@ class Inverse:
 
 
 def _with_prior(
-    information: FisherInformation, camera: FisherInformation, prior: FisherInformation | ArrayLike
+    information: FisherInformation,
+    camera: FisherInformation,
+    prior: FisherInformation | PosePrior | ArrayLike,
 ) -> tuple[FisherInformation, Array]:
     """The sum in the camera frame, and the prior's own scaled positive semi-definite matrix."""
     S = np.diag(camera.scale)
+    if isinstance(prior, PosePrior):
+        prior, information = prior.in_frame("camera", camera.pose), camera
     if isinstance(prior, FisherInformation):
         total = (information + prior).to_frame("camera")
         total = dataclass_replace(total, length_scale=camera.length_scale)

@@ -181,12 +181,14 @@ class TileJacobian:
     """(n, 2) columns and rows."""
     mean: NDArray[np.float64]
     """(n, 3) the image there [radiance]."""
-    nuisance_values: NDArray[np.float64]
-    """(K, n, 3, m) estimates of the derivatives in the nuisance parameters."""
+    nuisance_values: NDArray[np.float64] | None = None
+    """(K, n, 3, m) estimates of the derivatives in the nuisance parameters; None without any."""
 
     @property
     def all_values(self) -> NDArray[np.float64]:
         """(K, n, 3, 6 + m), the pose's and the nuisances' columns."""
+        if self.nuisance_values is None:
+            return self.batch_values
         return np.concatenate([self.batch_values, self.nuisance_values], axis=-1)
 
 
@@ -338,13 +340,17 @@ class Measurement:
         for part in subset.tiles(self.mask, self.tile):
             values, images = jacobian(self.view, part, **paths, prepared=self.prepared)
             values, film = values[..., :6], values[..., 6:]
-            others = nuisance_columns(self.nuisances, self.view, part, images, film, **paths)
+            others = None
+            if self.nuisances:
+                others = nuisance_columns(self.nuisances, self.view, part, images, film, **paths)
             primal = images.mean(axis=0)
             done += len(part)
             good = np.isfinite(values).all(axis=(0, 2, 3)) & np.isfinite(primal).all(axis=1)
-            good &= np.isfinite(others).all(axis=(0, 2, 3))
+            if others is not None:
+                good &= np.isfinite(others).all(axis=(0, 2, 3))
+                others = others[:, good]
             invalid += int((~good).sum())
-            tile = TileJacobian(values[:, good], part[good], primal[good], others[:, good])
+            tile = TileJacobian(values[:, good], part[good], primal[good], others)
             if self.on_tile is not None:
                 self.on_tile(tile, done, total)
             if self.drop_invalid or not invalid:

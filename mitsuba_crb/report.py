@@ -35,6 +35,8 @@ def print_bound(console: Console, bound: PoseBound) -> None:
     _line(console, Text(Path(str(facts["scene"])).name, style="bold"), f"  {width}×{height} pixels")
     _line(console, "No unbiased estimator of this camera's pose has smaller standard deviations than these:")
     _deviations(console, bound)
+    if bound.if_known:
+        _costs(console, bound)
     _facts(console, _bound_facts(bound))
     _notes(console, facts.get("warnings", ()))
 
@@ -55,6 +57,28 @@ def _deviations(console: Console, bound: PoseBound, owner: str = "camera") -> No
             table.add_row(name.format(owner), *number_with_error(float(deviation), float(error)), unit)
         table.add_section()
     console.print(table)
+
+
+def _costs(console: Console, bound: PoseBound) -> None:
+    """What each nuisance costs: the standard deviations over those if it were known."""
+    _line(console, "What not knowing a parameter costs: each 1σ over what it would be if that were known")
+    table = _table()
+    table.add_column("not known")
+    for name in ("x", "y", "z", "pitch", "yaw", "roll"):
+        table.add_column(name, justify="right")
+    table.add_column("derivative by")
+    how = bound.provenance.get("nuisances", {})
+    values = [*bound.position_std, *bound.rotation_std_deg]
+    for name, known in bound.if_known.items():
+        without = [*known.position_std, *known.rotation_std_deg]
+        table.add_row(Text(name), *map(_factor, values, without), how.get(name, ""))
+    console.print(table)
+
+
+def _factor(value: float, known: float) -> str:
+    if math.isinf(value):
+        return "∞" if math.isinf(known) else "unseen"
+    return f"× {value / known:.2f}"
 
 
 def number_with_error(value: float, error: float) -> tuple[str, str]:
@@ -89,6 +113,8 @@ def _bound_facts(bound: PoseBound) -> list[tuple[str, str]]:
     )
     rows.append(("length scale", _length_scale(bound.length_scale)))
     rows.append(("noise", _noise(facts["noise"])))
+    if facts.get("prior"):
+        rows.append(("prior", f"{facts['prior']}, included"))
     inflation = facts.get("noise_inflation")
     if inflation is not None:
         if math.isinf(inflation):

@@ -120,6 +120,8 @@ def test_all_outputs_are_written_and_agree(rendered, capsys, tmp_path, frame):
 def test_options_reach_the_library(rendered, capsys, tmp_path):
     matrix = tmp_path / "pose.txt"
     np.savetxt(matrix, synthetic_view.POSE)
+    prior = tmp_path / "imu.toml"
+    prior.write_text('frame = "world"\nrotation_std_deg = [1.0, inf, 2.0]\n')
     arguments = (
         "--sensor left --method forward --spp 8 --seed 5 --batches 8 --size 20x10 -D a=1 -D b=x=y --sigma 0.1"
     )
@@ -133,11 +135,19 @@ def test_options_reach_the_library(rendered, capsys, tmp_path):
             "--pixels",
             "random:0.5",
             "--drop-invalid",
+            "--marginalize",
+            "gain",
+            "--marginalize",
+            "fov",
+            "--prior",
+            str(prior),
         ]
     )
     assert code == 0
     options = rendered.options
     np.testing.assert_allclose(options.pop("pose"), synthetic_view.POSE, atol=1e-12)
+    known = np.diagonal(options.pop("prior").matrix)
+    np.testing.assert_allclose(known, np.radians([1, 1, 1, 1, 1, 2]) ** -2.0 * [0, 0, 0, 1, 0, 1])
     assert options == {
         "sensor": "left",
         "method": "forward",
@@ -147,6 +157,7 @@ def test_options_reach_the_library(rendered, capsys, tmp_path):
         "size": (20, 10),
         "pixels": "random:0.5",
         "drop_invalid": True,
+        "nuisances": ["gain", "fov"],
     }
     assert rendered.defines == {"a": "1", "b": "x=y"}
     assert rendered.noise.sigma == 0.1

@@ -20,7 +20,7 @@ BOUND = """
 import numpy as np
 import mitsuba_crb
 from mitsuba_crb import bound, bundle, coupled, errors, identifiability, information, inverse
-from mitsuba_crb import coordinates, hcr, joint, pixel_information, regularised
+from mitsuba_crb import coordinates, hcr, joint, pixel_information, prior, regularised
 from mitsuba_crb import noise, se3, symmetric, ustatistic
 from mitsuba_crb import covariance_intersection, entry_noise, fusion, information_filter, joint_state, message
 from mitsuba_crb import message_layout, pose_graph, quantisation, shared_nuisance, significance
