@@ -12,6 +12,8 @@ from .curves import Curve as Curve
 from .curves import Linear as Linear
 from .curves import Power as Power
 from .curves import Tabulated as Tabulated
+from .estimate import NoiseEstimate as NoiseEstimate
+from .estimate import estimate_noise as estimate_noise
 from .gaussian import Gaussian as Gaussian
 from .gaussian import PerChannel as PerChannel
 from .gaussian import PerPixel as PerPixel
@@ -24,6 +26,8 @@ from .protocol import CoupledNoise as CoupledNoise
 from .protocol import IndependentNoise as IndependentNoise
 from .protocol import NoiseModel as NoiseModel
 from .protocol import ScalarNoise as ScalarNoise
+from .schema import from_dict as from_dict
+from .schema import load as load
 from .sensor import Quantisation as Quantisation
 from .sensor import Sensor as Sensor
 from .sparse import SparsePrecision as SparsePrecision
