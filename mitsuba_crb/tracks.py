@@ -33,7 +33,7 @@ from skimage.feature import corner_peaks, corner_shi_tomasi
 from . import se3
 from .bundle import FEWEST_POINTS, Pinhole, PointView, point_information
 from .errors import NoiseError, OptionError, PixelsError, PointsError, SensorError
-from .information import FisherInformation, ImageJacobian, InformationAccumulator
+from .information import FisherInformation, InformationAccumulator
 from .jacobian.pixels import camera_ray, download, move_ray, opaque_transform, upload
 from .measure import Measurement, MeasurementOptions, TileJacobian, measurement
 from .noise import CoupledNoise, NoiseModel
@@ -226,29 +226,31 @@ class _Windows:
                 "corners have covariances of their own only under noise that is independent between pixels, "
                 f"not {model.description}"
             )
-        jacobian = run.jacobian()
-        model.check(*jacobian.image.shape)
-        part = TileJacobian(jacobian.batch_values, jacobian.pixels.astype(np.int64), jacobian.mean)
-        weights = run.weights(model, part)
+        height, width = run.mask.shape
+        model.check(height, width, 3)
         accumulator = InformationAccumulator(batches=run.batches, block=run.block)
-        accumulator.add(jacobian.batch_values, weights, jacobian.pixels)
-        tensor = np.zeros((*jacobian.image.shape[:2], 2, 2))
-        x, y = jacobian.pixels.T
-        tensor[y, x] = _structure_tensors(jacobian, camera, weights)
+        image = np.full((height, width), np.nan)
+        tensor = np.zeros((height, width, 2, 2))
+        for part in run.tiles():
+            weights = run.weights(model, part)
+            accumulator.add(part.batch_values, weights, part.pixels)
+            x, y = part.pixels.T
+            image[y, x] = part.mean.mean(axis=1)
+            tensor[y, x] = _structure_tensors(part, camera, weights)
         # What a window's pixels see reaches beyond it by their filter's radius.
         reach = 2 * (half + int(np.ceil(run.view.sensor.film().rfilter().radius()))) + 1
-        blocked = ndimage.binary_dilation(_unsmooth(run.view), np.ones((reach, reach)))
+        blocked = ndimage.binary_dilation(_unsmooth(run.view) | np.isnan(image), np.ones((reach, reach)))
         blocked[:half] = blocked[-half:] = blocked[:, :half] = blocked[:, -half:] = True
         total = ndimage.uniform_filter(tensor, 2 * half + 1, axes=(0, 1), mode="constant")
         usable = ~blocked & (np.linalg.eigvalsh(total)[..., 0] > 0.0)
         information = accumulator.information(
             frame="camera",
-            variable=jacobian.variable,
-            pose=jacobian.pose,
-            length_scale=jacobian.length_scale,
-            selection=jacobian.selection,
+            variable=run.view.variable,
+            pose=run.view.pose,
+            length_scale=run.length_scale,
+            selection=run.selection,
         )
-        return _Windows(camera, jacobian.image.mean(axis=2), information, half, tensor, usable)
+        return _Windows(camera, np.nan_to_num(image), information, half, tensor, usable)
 
     @property
     def shape(self) -> NDArray[np.bool_]:
@@ -269,10 +271,10 @@ class _Windows:
         return PointView(view.variable, view.pose, self.camera, np.linalg.inv(tensors), seen)
 
 
-def _structure_tensors(jacobian: ImageJacobian, camera: Pinhole, weights: Array) -> Array:
+def _structure_tensors(part: TileJacobian, camera: Pinhole, weights: Array) -> Array:
     """∇I Σ⁻¹ ∇Iᵀ at every pixel, (n, 2, 2) [1 / pixel²], the mean over pairs of batches."""
-    flow = camera.flow(camera.directions(jacobian.pixels + 0.5))[..., 3:5]
-    gradients = -jacobian.batch_values[..., 3:5] @ np.linalg.inv(flow)
+    flow = camera.flow(camera.directions(part.pixels + 0.5))[..., 3:5]
+    gradients = -part.batch_values[..., 3:5] @ np.linalg.inv(flow)
     products = pixel_products(whiten(gradients, square_root(weights), np.arange(len(weights))))
     return unpack(products.mean(axis=0).T)
 
