@@ -167,6 +167,8 @@ def _seconds(seconds: dict[str, float]) -> str:
 
 def print_check(console: Console, check: JacobianCheck, warnings: Iterable[str] = ()) -> None:
     """Each method's columns beside those of finite differences, the verdict, and warnings on the way."""
+    from .validation import AGREEMENT  # late: it imports Dr.Jit
+
     for row in check.rows:
         _line(console, Text(row.method, style="bold"), " beside finite_difference, column by column:")
         table = _table()
@@ -177,8 +179,12 @@ def print_check(console: Console, check: JacobianCheck, warnings: Iterable[str] 
         for axis, name in enumerate(TWIST_ORDER):
             if row.disagrees[axis]:
                 verdict = Text("differs", style="bold red")
+            elif not math.isfinite(row.ratio[axis]):
+                verdict = Text("unseen", style="green")
+            elif row.detectable[axis] <= AGREEMENT:
+                verdict = Text("equal", style="green")
             else:
-                verdict = Text("equal" if math.isfinite(row.ratio[axis]) else "unseen", style="green")
+                verdict = Text("undecided", style="yellow")
             table.add_row(
                 name,
                 _pair(row.ratio[axis], row.ratio_standard_error[axis], "z.3f"),
@@ -191,9 +197,11 @@ def print_check(console: Console, check: JacobianCheck, warnings: Iterable[str] 
         _line(console, Text(f"{check.verdict}: there is no column to compare", style="bold yellow"))
     else:
         seen = f"{check.detectable:.1%}"
+        verb = "disagrees" if len(check.disagreeing) == 1 else "disagree"
         sentence = {
             "agree": f"the methods agree; a disagreement in information of {seen} would have been seen",
-            "disagree": f"the methods disagree; a disagreement of {seen} would have been seen in any column",
+            "disagree": f"{' and '.join(check.disagreeing)} {verb} with finite_difference; a disagreement of "
+            f"{seen} would have been seen in any column",
             "inconclusive": f"inconclusive: only one above {seen} would have been seen; raise --spp",
         }[check.verdict]
         _line(console, Text(sentence, style="green" if check.verdict == "agree" else "bold yellow"))

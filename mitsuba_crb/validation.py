@@ -66,9 +66,14 @@ class JacobianCheck:
     """(6,) relative bias of the finite-difference F_ii, from a second step."""
 
     @property
+    def disagreeing(self) -> list[str]:
+        """The methods that differ from finite differences in some column."""
+        return [row.method for row in self.rows if row.disagrees.any()]
+
+    @property
     def verdict(self) -> str:
         """ "agree", "disagree" or "inconclusive"."""
-        if any(row.disagrees.any() for row in self.rows):
+        if self.disagreeing:
             return "disagree"
         return "agree" if self.detectable <= AGREEMENT else "inconclusive"
 
