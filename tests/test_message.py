@@ -467,6 +467,7 @@ class TestBadInput:
             (b"JPEG" + data[4:], "starts with"),
             (data[:4] + b"\2" + data[5:], "version 2"),
             (_repaired(data[:-4] + b"\0" + data[-4:]), "announces"),
+            (_repaired(data[:7] + b"\2" + data[8:]), "impossible frame"),
             (_repaired(data[:8] + b"\0" + data[9:]), "impossible rank"),
             (_repaired(data[:122] + struct.pack("<f", np.nan) + data[126:]), "impossible α"),
             (_repaired(data[:144] + b"\xff" + data[145:]), "UTF-8"),

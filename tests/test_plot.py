@@ -170,3 +170,29 @@ def test_plotting_touches_no_global_state(tmp_path):
 def test_pyplot_is_never_imported():
     code = "import sys, mitsuba_crb.page; sys.exit('matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_tiles_that_are_sent_are_numbered_and_the_others_dimmed():
+    tiles = np.array([[0, 0, 4, 3], [4, 0, 4, 3], [0, 3, 4, 3], [4, 3, 4, 3]])
+    ax = axes()
+    plot.draw_tiles(ax, np.full((6, 8, 3), 0.5), tiles, [(2, 1), (1, 7)])
+    assert {text.get_text(): text.get_position() for text in ax.texts} == {"1": (1.5, 4.0), "7": (5.5, 1.0)}
+    dimmed = [patch.get_xy() for patch in ax.patches if patch.get_fill()]
+    assert dimmed == [(-0.5, -0.5), (3.5, 2.5)]
+
+
+def test_a_budget_curve_leaves_out_what_does_not_exist_and_shades_what_is_out_of_reach():
+    ax = axes()
+    values = {"chosen": [1.0, 2.0, 3.0], "random": [-np.inf, 0.5, 1.0]}
+    plot.draw_budget_curve(ax, [2, 4, 8], values, bound=[2.0, 3.0, 3.5])
+    lines = {line.get_label(): line.get_ydata() for line in ax.lines}
+    np.testing.assert_array_equal(lines["chosen"], values["chosen"])
+    np.testing.assert_array_equal(lines["random"], [np.nan, 0.5, 1.0])
+    low, high = ax.get_ylim()
+    assert low < 0.5
+    assert high > 3.5
+    (shade,) = ax.collections
+    vertices = shade.get_paths()[0].vertices
+    assert vertices[:, 1].min() == 2.0
+    assert vertices[:, 1].max() == high
+    assert {text.get_text() for text in ax.get_legend().get_texts()} == {"chosen", "random", "out of reach"}

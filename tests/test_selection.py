@@ -418,6 +418,14 @@ def test_lazy_and_plain_selections_are_the_same():
         assert lazy.evaluations <= plain.evaluations
 
 
+def test_a_bound_for_a_larger_budget_bounds_a_smaller_one_and_a_worse_one_changes_nothing():
+    agents = agents_of(np.random.default_rng(36), tiles=8)
+    smaller, larger = (select_tiles(agents, Budget(tiles=tiles)) for tiles in (3, 6))
+    assert smaller.bounded(larger.upper_bound) == smaller
+    tight = smaller.bounded(smaller.value)
+    assert (tight.upper_bound, tight.certificate) == (smaller.value, 1.0)
+
+
 def test_noise_alone_looks_informative_where_it_was_chosen_but_not_held_out():
     # No information at all: 5 of 5 independent draws must show the winner's curse and its absence.
     for seed in range(5):
