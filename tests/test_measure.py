@@ -17,7 +17,15 @@ from mitsuba_crb import cramer_rao_bound, fisher_information, pose_bound, pose_j
 from mitsuba_crb.errors import NoiseError, OptionError, PixelsError, RadianceError
 from mitsuba_crb.jacobian.pixels import render_pixels
 from mitsuba_crb.lint import precision_findings
-from mitsuba_crb.noise import Gaussian, PerPixel
+from mitsuba_crb.noise import (
+    Gaussian,
+    Heteroscedastic,
+    Periodic,
+    PerPixel,
+    PoissonGaussian,
+    Quantisation,
+    Sensor,
+)
 from mitsuba_crb.scene import open_view
 
 # Few samples on small images: that standard errors exceed 10 % is expected.
@@ -298,3 +306,39 @@ def test_scenes_by_others_are_bounded_and_look_like_themselves(file: str, real_s
     white = np.percentile(render, 99)
     clipped = [np.clip(values, 0.0, white).ravel() for values in (image, render)]
     assert np.corrcoef(clipped[0], clipped[1])[0, 1] > 0.85
+
+
+def test_correlated_noise_takes_the_whole_image_at_once() -> None:
+    """A flat spectrum is white noise; of a random subset nothing follows for the whole image."""
+    white = pose_bound(textured_wall(), SIGMA, **FAST).information
+    flat = pose_bound(textured_wall(), Periodic(np.full((24, 32), 1e-4)), tile=16, **FAST).information
+    scale = np.sqrt(np.diag(white.matrix))
+    assert np.abs((flat.matrix - white.matrix) / np.outer(scale, scale)).max() < 1e-12
+    with pytest.raises(NoiseError, match="random subset"):
+        pose_bound(textured_wall(), Periodic(np.full((24, 32), 1e-4)), pixels="random:0.5", **FAST)
+    with pytest.raises(NoiseError, match="24 rows x 32 columns"):
+        pose_bound(textured_wall(), Periodic(np.full((32, 24), 1e-4)), **FAST)
+
+
+def test_the_mean_that_noise_depends_on_comes_from_a_render_of_its_own() -> None:
+    photons = PoissonGaussian(gain=1e-3, read_noise=2e-3)
+    bound = pose_bound(textured_wall(), photons, **FAST)
+    jacobian = pose_jacobian(textured_wall(), **FAST)
+    own = fisher_information(jacobian, photons)
+    with open_view(textured_wall()) as view:
+        reference = np.empty((24, 32, 3))
+        x, y = jacobian.pixels.T
+        reference[y, x] = render_pixels(view, jacobian.pixels, spp=4096, seed=9)[0]
+    true = fisher_information(jacobian, photons, reference)
+    # The wall has no variance but that of the texture within a pixel: a few per cent at 16 paths.
+    for information in (bound.information, own):
+        np.testing.assert_allclose(np.diagonal(information.matrix), np.diagonal(true.matrix), rtol=0.05)
+    assert not np.array_equal(bound.information.matrix, own.matrix)
+    with pytest.raises(NoiseError, match="the mean has shape"):
+        fisher_information(jacobian, photons, reference[:, :5])
+
+
+def test_a_saturated_image_is_refused() -> None:
+    camera = Sensor(Heteroscedastic((1e-6, 1e-6)), "before", exposure=1e4, quantisation=Quantisation(256))
+    with pytest.raises(NoiseError, match="all are saturated or ignored"):
+        pose_bound(textured_wall(), camera, **FAST)
