@@ -12,12 +12,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from mitsuba_crb.joint_information import joint_information
 from scipy.linalg import eigvalsh, expm
 
 from mitsuba_crb import se3
 from mitsuba_crb.bundle import Pinhole, PointView, point_information
 from mitsuba_crb.information import ImageJacobian, PixelSelection
+from mitsuba_crb.joint import joint_information
 from mitsuba_crb.noise import Gaussian
 
 SIZE = (160, 120)
