@@ -6,7 +6,7 @@ For K independent, unbiased estimates J_1 .. J_K of the Jacobian J and a noise p
 
 is unbiased for F = JᵀWJ, where the plain ĴᵀWĴ of the mean Ĵ is too large by E[δJᵀ W δJ]. It is symmetric, but
 positive semi-definite only in expectation. The covariance of its entries (`ustatistic`) is summed over units
-with independent errors: pixels, or blocks of pixels that share samples. Conventions: `se3`.
+with independent errors: groups of pixels, or the blocks of pixels that share samples. Conventions: `se3`.
 
 For a simple random sample of n of N pixels, F̂ = (N/n) Σ F̂_u and, with f = n/N,
 
@@ -34,15 +34,22 @@ from .errors import FrameError, NoiseError, OptionError, PixelsError, RadianceEr
 from .noise import CoupledNoise, NoiseModel
 from .se3 import Array, Frame
 from .symmetric import congruence, entries, positive_part, symmetrised, unpack
-from .ustatistic import VarianceComponents, block_products, gram, pixel_products, square_root, whiten
+from .ustatistic import VarianceComponents, gram, square_root, unit_products, whiten
 
-BLOCK = 16
-"""Side [pixel] of the film blocks, on a fixed grid (x // 16, y // 16), whose pixels may share samples."""
+BLOCK = 8
+"""Side [pixel] of the film blocks, on a fixed grid (x // 8, y // 8), whose pixels may share samples.
+
+Smaller blocks would waste samples on what lies between them; with larger ones, a contour on a small image
+would lie in so few that its variance, estimated from them, is itself too uncertain for intervals to cover."""
 
 MINIMUM_BATCHES = 4
 """Two disjoint pairs of batches are needed to estimate the variance without bias."""
 
-_CHUNK = 4096  # pixels whose products are held at once; bounds the memory of `_pixel_means`
+_UNIT = 4
+"""Side [pixel] of the units whose products are summed where pixels are independent: larger units would say
+less of the variance, single pixels take ten times as long."""
+
+_CHUNK = 4096  # pixels whose products are held at once, about
 
 
 @dataclass(frozen=True)
@@ -334,7 +341,7 @@ class InformationAccumulator:
         self._plain = np.zeros((columns, columns))
         components = CoupledComponents if coupled else VarianceComponents
         self._units = components(batches, columns)
-        self._pixels = self._units if block == 1 else VarianceComponents(batches, columns)
+        self._pixels = VarianceComponents(batches, columns)
         self._pixel_squares = np.zeros((entries(columns),) * 2)
 
     def add(self, batch_values: ArrayLike, weights: ArrayLike, pixels: ArrayLike) -> None:
@@ -366,18 +373,16 @@ class InformationAccumulator:
         order, starts = self._order(positions)
         self._count += len(positions)
         self._informative = self._informative or bool(precision.any())
-        mean = whiten(values.mean(axis=0, keepdims=True), root, order)
-        self._plain += gram(mean.reshape(-1, self._columns))
-        if self._block > 1:
-            blocks = (whiten(values, root, order[start:stop]) for start, stop in pairwise(starts))
-            self._sum += self._units.add(block_products(blocks)).sum(axis=1)
-        if self._block == 1 or self._sampled:
-            for start in range(0, len(order), _CHUNK):
-                chunk = whiten(values, root, order[start : start + _CHUNK])
-                means = self._pixels.add(pixel_products(chunk))
+        cuts = np.unique(np.searchsorted(starts, np.append(np.arange(0, len(order), _CHUNK), len(order))))
+        for low, high in pairwise(cuts):
+            whitened = whiten(values, root, order[starts[low] : starts[high]])
+            self._plain += gram(whitened.mean(axis=2).reshape(-1, self._columns))
+            units = unit_products(whitened, starts[low : high + 1] - starts[low])
+            self._sum += self._units.add(units).sum(axis=1)
+            if self._sampled:
+                each = unit_products(whitened, np.arange(len(whitened) + 1))
+                means = self._pixels.add(each) if self._block > 1 else each.mean(axis=0)
                 self._pixel_squares += gram(means.T)
-                if self._block == 1:
-                    self._sum += means.sum(axis=1)
 
     def add_coupled(self, batch_values: ArrayLike, noise: CoupledNoise, pixels: ArrayLike) -> None:
         """Add all pixels of an image whose noise is correlated between them: they must come in one call.
@@ -472,10 +477,15 @@ class InformationAccumulator:
             between = positive_part(between + (N / n) ** 2 * (1.0 - f) * n / (n - 1) * common, metric)
         return between + (N / n) ** 2 * f * self._units.positive
 
-    def _order(self, pixels: NDArray[np.integer]) -> tuple[NDArray[np.intp], list[int]]:
-        """Sort by block, then by pixel, so that the sums do not depend on the order given."""
+    def _order(self, pixels: NDArray[np.integer]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Sort by unit, then by pixel, so that the sums do not depend on the order given.
+
+        Returns:
+            Pixels in order, and where each unit starts, with the end of the last.
+        """
         x, y = pixels.astype(np.int64).T
-        block = (y // self._block << 32) | (x // self._block)
+        side = self._block if self._block > 1 else _UNIT
+        block = (y // side << 32) | (x // side)
         order = np.lexsort((x, y, block))
         x, y, block = x[order], y[order], block[order]
         if np.any((np.diff(x) == 0) & (np.diff(y) == 0)):
@@ -484,12 +494,11 @@ class InformationAccumulator:
         if self._block > 1:
             blocks = {int(block[s]) for s in starts}
             if not self._blocks.isdisjoint(blocks):
-                side = self._block
                 raise PixelsError(
                     f"a {side} x {side} block came in two calls; use tile sides that are multiples of {side}"
                 )
             self._blocks |= blocks
-        return order, [*starts.tolist(), len(order)]
+        return order, np.append(starts, len(order))
 
     def _check(self, values: Array, pixels: NDArray[Any]) -> None:
         if values.ndim != 4 or values.shape[-1] != self._columns:

@@ -67,7 +67,7 @@ class MeasurementOptions(TypedDict, total=False):
     size: tuple[int, int] | None
     """Width and height [pixel] in place of the film's."""
     tile: int
-    """Side of the tiles [pixel], a multiple of 16; bounds the memory, not the result. Default 128."""
+    """Side of the tiles [pixel], a multiple of 8; bounds the memory, not the result. Default 256."""
     drop_invalid: bool
     """Leave out pixels whose radiance is not finite instead of raising; default False."""
     on_tile: Progress | None
@@ -375,7 +375,7 @@ def measurement(
     pixels: Any = None,
     integrator: Any = None,
     size: tuple[int, int] | None = None,
-    tile: int = 128,
+    tile: int = 256,
     drop_invalid: bool = False,
     on_tile: Progress | None = None,
     step_pixels: float = STEP_PIXELS,

@@ -8,7 +8,7 @@ may come in parts of any shape, so that tiles of any size follow from one stream
 
 from __future__ import annotations
 
-from itertools import combinations, pairwise
+from itertools import combinations
 from numbers import Integral
 
 import numpy as np
@@ -18,7 +18,7 @@ from .errors import OptionError
 from .information import MINIMUM_BATCHES
 from .se3 import Array
 from .symmetric import unpack
-from .ustatistic import block_products, square_root, whiten
+from .ustatistic import square_root, unit_products, whiten
 
 MINIMUM_HALVED_BATCHES = 2 * MINIMUM_BATCHES
 """Each half is an estimate of its own, with as many batches as any other."""
@@ -69,13 +69,9 @@ class TileGrid:
         x, y = pixels.T
         tile = y // self._tile_height * self._columns + x // self._tile_width
         order = np.lexsort((x, y, tile))
-        starts = np.flatnonzero(np.diff(tile[order], prepend=-1))
-        bounds = pairwise([*starts.tolist(), len(order)])
-        root = square_root(weights)
+        starts = np.append(np.flatnonzero(np.diff(tile[order], prepend=-1)), len(order))
         touched, counts = np.unique(tile, return_counts=True)
-        self._sums[:, :, touched] += block_products(
-            whiten(batch_values, root, order[start:stop]) for start, stop in bounds
-        )
+        self._sums[:, :, touched] += unit_products(whiten(batch_values, square_root(weights), order), starts)
         self._count[touched] += counts
 
     @property

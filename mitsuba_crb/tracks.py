@@ -39,7 +39,7 @@ from .measure import Measurement, MeasurementOptions, TileJacobian, measurement
 from .noise import CoupledNoise, NoiseModel
 from .se3 import Array
 from .symmetric import unpack
-from .ustatistic import pixel_products, square_root, whiten
+from .ustatistic import square_root, unit_products, whiten
 
 if TYPE_CHECKING:
     from .scene import View
@@ -275,7 +275,8 @@ def _structure_tensors(part: TileJacobian, camera: Pinhole, weights: Array) -> A
     """∇I Σ⁻¹ ∇Iᵀ at every pixel, (n, 2, 2) [1 / pixel²], the mean over pairs of batches."""
     flow = camera.flow(camera.directions(part.pixels + 0.5))[..., 3:5]
     gradients = -part.batch_values[..., 3:5] @ np.linalg.inv(flow)
-    products = pixel_products(whiten(gradients, square_root(weights), np.arange(len(weights))))
+    whitened = whiten(gradients, square_root(weights), np.arange(len(weights)))
+    products = unit_products(whitened, np.arange(len(weights) + 1))
     return unpack(products.mean(axis=0).T)
 
 

@@ -22,7 +22,6 @@ Reference: Hoeffding, "A class of statistics with asymptotically normal distribu
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from itertools import combinations
 
 import numpy as np
@@ -30,7 +29,7 @@ from numpy.typing import NDArray
 
 from .errors import NoiseError
 from .se3 import Array
-from .symmetric import entries, pack, positive_part, symmetrised, triangle
+from .symmetric import entries, pack, positive_part, symmetrised
 
 # Rows of one BLAS call. Larger products wake BLAS's threads, whose barrier costs milliseconds on a busy
 # machine, a hundred times the product itself.
@@ -104,7 +103,7 @@ def square_root(weights: Array) -> Array:
 
 def whiten(values: Array, root: Array, index: NDArray[np.intp]) -> Array:
     """√W J_k of some pixels, (m, C, K, P), from (K, n, C, P) and √W, (n, C) or blocks (n, C, C)."""
-    columns = values[:, index].transpose(1, 2, 0, 3)
+    columns = values.transpose(1, 2, 0, 3)[index]
     if root.ndim == 2:
         return np.multiply(columns, root[index][:, :, None, None], order="C")
     m, C, K, P = columns.shape
@@ -112,35 +111,28 @@ def whiten(values: Array, root: Array, index: NDArray[np.intp]) -> Array:
 
 
 def gram(rows: Array) -> Array:
-    """Aᵀ A of A (r, c)."""
-    whole = len(rows) // _ROWS * _ROWS
-    stack = rows[:whole].reshape(-1, _ROWS, rows.shape[1])
-    rest = rows[whole:]
-    return np.asarray((stack.swapaxes(1, 2) @ stack).sum(axis=0) + rest.T @ rest, dtype=np.float64)
+    """Aᵀ A of A (..., r, c)."""
+    *lead, r, c = rows.shape
+    whole = r // _ROWS * _ROWS
+    stack = rows[..., :whole, :].reshape(*lead, -1, _ROWS, c)
+    rest = rows[..., whole:, :]
+    return np.asarray((stack.mT @ stack).sum(axis=-3) + rest.mT @ rest, dtype=np.float64)
 
 
-def block_products(blocks: Iterable[Array]) -> Array:
-    """h_kl of every block, (pairs k < l, E, B), from each block's whitened (m, C, K, P)."""
-    grams = []
-    for block in blocks:
-        K, P = block.shape[2:]
-        grams.append(gram(block.reshape(-1, K * P)))
-    products = np.stack(grams).reshape(-1, K, P, K, P)
+def unit_products(whitened: Array, starts: NDArray[np.intp]) -> Array:
+    """h_kl of every unit, (pairs k < l, E, units).
+
+    Args:
+        whitened: (m, C, K, P), from `whiten`.
+        starts: (units + 1,) where each unit's pixels start, and m.
+    """
+    C, K, P = whitened.shape[1:]
+    sizes = np.diff(starts)
+    grams = np.empty((len(sizes), K * P, K * P))
+    for size in np.unique(sizes):
+        which = np.flatnonzero(sizes == size)
+        index = starts[which, None] + np.arange(size)
+        grams[which] = gram(whitened[index].reshape(len(which), size * C, K * P))
+    products = grams.reshape(-1, K, P, K, P)
     pairs = combinations(range(K), 2)
     return np.stack([pack(symmetrised(products[:, k, :, j, :])).T for k, j in pairs])
-
-
-def pixel_products(whitened: Array) -> Array:
-    """h_kl of every pixel, (pairs k < l, E, m), from (m, C, K, P)."""
-    # Pixels run last, for long inner loops.
-    columns = np.ascontiguousarray(whitened.transpose(1, 2, 3, 0))
-    pairs = list(combinations(range(columns.shape[1]), 2))
-    rows = list(zip(*triangle(columns.shape[2]), strict=True))
-    h = np.empty((len(pairs), len(rows), len(whitened)))
-    for p, (k, j) in enumerate(pairs):
-        for q, (a, b) in enumerate(rows):
-            h[p, q] = 0.5 * (
-                np.einsum("cm,cm->m", columns[:, k, a], columns[:, j, b])
-                + np.einsum("cm,cm->m", columns[:, k, b], columns[:, j, a])
-            )
-    return h

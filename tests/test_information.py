@@ -63,7 +63,7 @@ def _made(matrix, covariance=None, **changes):
 
 
 class Simulation:
-    """A Jacobian, and estimates of it with errors that may be shared within 16 x 16 blocks."""
+    """A Jacobian, and estimates of it with errors that may be shared within blocks of the film."""
 
     def __init__(self, height, width, *, batches=4, noise=0.8, common=0.0, seed=0):
         rng = np.random.default_rng(seed)
@@ -93,7 +93,7 @@ class Simulation:
 class TestMean:
     def test_without_monte_carlo_noise_it_is_the_gram_matrix(self):
         sim = Simulation(20, 30, noise=0.0)
-        for block in (1, 16):
+        for block in (1, BLOCK):
             information = sim.information(block=block)
             np.testing.assert_allclose(information.matrix, sim.truth, rtol=1e-12)
             np.testing.assert_allclose(information.plain_matrix, sim.truth, rtol=1e-12)
@@ -106,7 +106,7 @@ class TestMean:
         total = _truth(values.sum(axis=0), sim.weights)
         squares = sum(_truth(v, sim.weights) for v in values)
         expected = (total - squares) / (batches * (batches - 1))
-        for block in (1, 16):
+        for block in (1, BLOCK):
             information = _information(values, sim.weights, sim.pixels, block=block)
             np.testing.assert_allclose(information.matrix, expected, rtol=1e-11)
             np.testing.assert_allclose(information.plain_matrix, total / batches**2, rtol=1e-12)
@@ -160,9 +160,10 @@ class TestCovarianceOfEntries:
     def test_its_unbiased_form_is_the_enumeration_of_disjoint_pairs(self, batches):
         sim = Simulation(17, 20, batches=batches)
         values = sim.draw()
+        quad = (sim.pixels // 4) @ [1, 1000]
         for block, groups in (
-            (16, [sim.block == b for b in np.unique(sim.block)]),
-            (1, [[n] for n in range(len(sim.pixels))]),
+            (BLOCK, [sim.block == b for b in np.unique(sim.block)]),
+            (1, [quad == q for q in np.unique(quad)]),
         ):
             accumulator = InformationAccumulator(batches=batches, block=block)
             accumulator.add(values, sim.weights, sim.pixels)
@@ -170,7 +171,7 @@ class TestCovarianceOfEntries:
             actual = accumulator._units.unbiased
             np.testing.assert_allclose(actual, expected, atol=1e-9 * np.abs(expected).max())
 
-    @pytest.mark.parametrize(("size", "block", "common"), [((16, 32), 1, 0.0), ((48, 64), 16, 0.3)])
+    @pytest.mark.parametrize(("size", "block", "common"), [((16, 32), 1, 0.0), ((48, 64), BLOCK, 0.3)])
     def test_it_is_the_covariance_of_repetitions(self, size, block, common):
         """Sample variances of 250 runs have a relative error of 9 %; 21 of them stay within 4 errors."""
         sim = Simulation(*size, noise=0.5, common=common)
@@ -196,9 +197,9 @@ class TestCovarianceOfEntries:
             K * (K - 1)
         )
         estimates = [
-            np.diagonal(unpack(np.diagonal(sim.information().covariance_of_entries))) for _ in range(20)
+            np.diagonal(unpack(np.diagonal(sim.information().covariance_of_entries))) for _ in range(40)
         ]
-        mean, error = np.mean(estimates, axis=0), np.std(estimates, axis=0) / np.sqrt(20)
+        mean, error = np.mean(estimates, axis=0), np.std(estimates, axis=0) / np.sqrt(40)
         assert np.all(np.abs(mean - expected) < 4 * error)
         assert np.all(4 * error < 0.1 * expected)
 
@@ -218,7 +219,7 @@ class TestCovarianceOfEntries:
         sim.J[:] = 0.0
         negative = 0
         for _ in range(50):
-            accumulator = InformationAccumulator(batches=4, block=16)
+            accumulator = InformationAccumulator(batches=4, block=BLOCK)
             accumulator.add(sim.draw(), sim.weights, sim.pixels)
             negative += np.diagonal(accumulator._units.unbiased).min() < 0.0
             values = np.linalg.eigvalsh(accumulator._units.positive)
@@ -230,8 +231,8 @@ class TestCovarianceOfEntries:
         sim = Simulation(16, 32)
         values = sim.draw()
         scale = np.array([1e-3] * 3 + [1.0] * 3)
-        metres = _information(values, sim.weights, sim.pixels, block=16)
-        millimetres = _information(values * scale, sim.weights, sim.pixels, block=16)
+        metres = _information(values, sim.weights, sim.pixels, block=BLOCK)
+        millimetres = _information(values * scale, sim.weights, sim.pixels, block=BLOCK)
         T = congruence(np.diag(scale))
         np.testing.assert_allclose(
             millimetres.covariance_of_entries, T @ metres.covariance_of_entries @ T.T, rtol=1e-6, atol=0.0
@@ -264,7 +265,7 @@ class TestPositivePart:
 
 
 class TestTiles:
-    @pytest.mark.parametrize("block", [1, 16])
+    @pytest.mark.parametrize("block", [1, BLOCK])
     @pytest.mark.parametrize("tile", [16, 32, 48])
     def test_tile_size_and_order_do_not_matter(self, tile, block):
         sim = Simulation(50, 70)
@@ -288,15 +289,15 @@ class TestTiles:
         sim = Simulation(20, 40)
         values = sim.draw()
         index = np.random.default_rng(8).permutation(800)
-        a = _information(values, sim.weights, sim.pixels, block=16)
-        b = _information(values[:, index], sim.weights[index], sim.pixels[index], block=16)
+        a = _information(values, sim.weights, sim.pixels, block=BLOCK)
+        b = _information(values[:, index], sim.weights[index], sim.pixels[index], block=BLOCK)
         np.testing.assert_array_equal(a.matrix, b.matrix)
         np.testing.assert_array_equal(a.covariance_of_entries, b.covariance_of_entries)
 
     def test_a_block_in_two_calls_is_refused(self):
         sim = Simulation(16, 20)
         values = sim.draw()
-        accumulator = InformationAccumulator(batches=4, block=16)
+        accumulator = InformationAccumulator(batches=4, block=BLOCK)
         accumulator.add(values[:, :100], sim.weights[:100], sim.pixels[:100])
         with pytest.raises(PixelsError, match="two calls"):
             accumulator.add(values[:, 100:], sim.weights[100:], sim.pixels[100:])
@@ -322,7 +323,7 @@ class TestRandomSubset:
         )
         np.testing.assert_allclose(information.covariance_of_entries, expected, rtol=1e-9)
 
-    @pytest.mark.parametrize(("block", "common", "fraction"), [(1, 0.0, 0.3), (16, 0.3, 0.4)])
+    @pytest.mark.parametrize(("block", "common", "fraction"), [(1, 0.0, 0.3), (BLOCK, 0.3, 0.4)])
     def test_matrix_and_covariance_are_unbiased_over_subsets_and_noise(self, block, common, fraction):
         """Sample variances of 250 runs have a relative error of 9 %; 21 of them stay within 4 errors."""
         sim = Simulation(32, 32, noise=0.8, common=common)
@@ -660,7 +661,7 @@ class TestBadInput:
             self._add(batches=5)
 
     @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-    @pytest.mark.parametrize("block", [1, 16])
+    @pytest.mark.parametrize("block", [1, BLOCK])
     def test_derivatives_that_are_not_finite_are_counted(self, bad, block):
         sim = Simulation(4, 4)
         values = sim.draw()
