@@ -5,6 +5,7 @@ Whole Jacobians are compared in test_flow_accuracy.py; here are the scenes that 
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import gc
 import warnings
@@ -17,7 +18,7 @@ import pytest
 from small_scenes import T, camera, scene, texture, textured_wall, wall
 
 from mitsuba_crb import pose_bound, se3
-from mitsuba_crb.errors import PrecisionWarning
+from mitsuba_crb.errors import FilmError, PrecisionWarning
 from mitsuba_crb.jacobian import finite_difference, flow, paths
 from mitsuba_crb.jacobian.pairs import PairSample, filter_pairs
 from mitsuba_crb.jacobian.pixels import (
@@ -165,6 +166,14 @@ def test_pairs_have_the_moments_of_the_filter_and_its_derivative(name: str) -> N
     checks = [(value, 1.0), *((s, -1.0) for s in slopes), *((c, -3.0 * second) for c in cubes)]
     for samples, expected in checks:
         assert samples.mean() == pytest.approx(expected, abs=5 * samples.std() / np.sqrt(n) + 2e-4)
+
+
+def test_a_filter_that_jumps_at_its_border_is_refused_by_name() -> None:
+    """Mitsuba has none but the box; half a tent stands for one."""
+    with open_view(scene(sensor=with_filter("tent"))) as view:
+        half = dataclasses.replace(PixelFilter.of(view), radius=0.5)
+        with pytest.raises(FilmError, match=r"TentFilter jumps at its border.* knows box, tent"):
+            filter_pairs(half)
 
 
 @pytest.mark.parametrize("name", ["gaussian", "box"])
