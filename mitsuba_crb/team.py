@@ -18,7 +18,8 @@
     sensor = "left"                   # index or id; default 0
     pose = [1, 0, 2, 0, 0, 0, 1]      # world_from_camera; default: the sensor's own
     body_from_agent = [...]           # default: from the two poses
-    noise = 0.01                      # standard deviation of Gaussian noise; default as for `bound`
+    noise = 0.01                      # sigma of Gaussian noise, a table as in `noise.schema`, or the name of
+                                      # a file beside this one with such a table; default as for `bound`
     budget = 8                        # tiles that it may send; also bytes
     defines = { width = 64 }          # the scene's <default>s
 
@@ -37,13 +38,12 @@ from typing import Any
 
 import numpy as np
 
-from . import se3
+from . import noise, se3
 from .arguments import as_pose
 from .errors import ConfigError, NoiseError, PoseError
-from .noise import Gaussian, NoiseModel
+from .noise import NoiseModel
 from .se3 import Array
 
-_NUMBER = (int, float)
 _SECTIONS = {"body": dict, "measure": dict, "tiles": dict, "agents": list}
 _BODY = {"name": str, "pose": list}
 _MEASURE = {
@@ -62,7 +62,7 @@ _AGENT = {
     "sensor": (int, str),
     "pose": list,
     "body_from_agent": list,
-    "noise": _NUMBER,
+    "noise": (int, float, str, dict),
     "budget": int,
     "bytes": int,
     "defines": dict,
@@ -188,21 +188,28 @@ def _member(table: Any, number: int, path: Path) -> Member:
     for key in ("budget", "bytes"):
         if table.get(key, 0) < 0:
             raise ConfigError(f"{where}: {key} is negative: {table[key]}")
-    try:
-        noise = Gaussian(table["noise"]) if "noise" in table else None
-    except NoiseError as error:
-        raise NoiseError(f"{where}: {error}") from None
     return Member(
         name=table["name"],
         scene=path.parent / table["scene"],
         sensor=table.get("sensor", 0),
         pose=_pose(table, "pose", where),
         body_from_agent=_pose(table, "body_from_agent", where),
-        noise=noise,
+        noise=_noise(table.get("noise"), path.parent, where),
         tiles=table.get("budget"),
         bytes=table.get("bytes"),
         defines={key: str(value) for key, value in table.get("defines", {}).items()},
     )
+
+
+def _noise(value: Any, folder: Path, where: str) -> NoiseModel | None:
+    try:
+        if isinstance(value, str):
+            return noise.load(folder / value)
+        if isinstance(value, dict):
+            return noise.from_dict(value, folder=folder)
+        return None if value is None else noise.Gaussian(value)
+    except NoiseError as error:
+        raise NoiseError(f"{where}: {error}") from None
 
 
 def _pose(table: Mapping[str, Any], key: str, where: str) -> Array | None:

@@ -28,7 +28,7 @@ from mitsuba_crb.errors import (
 from mitsuba_crb.fusion import Agent, fuse
 from mitsuba_crb.information import ImageJacobian, PixelSelection
 from mitsuba_crb.jacobian.pixels import render_pixels
-from mitsuba_crb.noise import Gaussian
+from mitsuba_crb.noise import Gaussian, Laplace
 from mitsuba_crb.scene import open_view
 from mitsuba_crb.selection import select_tiles
 from mitsuba_crb.team import load_team
@@ -288,6 +288,27 @@ class TestSelect:
         assert everything.curve[-1][0] == 8
 
 
+def test_noise_is_a_number_a_table_or_a_file(tmp_path: Path) -> None:
+    (tmp_path / "sensor.toml").write_text("[noise]\nmodel = 'laplace'\nscale = 0.02\n", encoding="utf-8")
+    for text, expected in (
+        ("0.01", Gaussian(0.01)),
+        ("{ model = 'gaussian', sigma = 0.01 }", Gaussian(0.01)),
+        ("'sensor.toml'", Laplace(0.02)),
+    ):
+        team = load_team(written(tmp_path, each=f"noise = {text}\n"))
+        assert [member.noise for member in team.members] == [expected] * 2
+
+
+def test_an_agent_whose_noise_couples_pixels_fuses_but_sends_no_tiles(tmp_path: Path) -> None:
+    table = "{ model = 'low_rank_plus_diagonal', variance = 'v.npy', modes = 'm.npy' }"
+    np.save(tmp_path / "v.npy", np.full((24, 32, 3), 1e-4))
+    np.save(tmp_path / "m.npy", np.full((1, 24, 32, 3), 1e-3))
+    team = load_team(written(tmp_path, each=f"noise = {table}\n"))
+    assert fuse_team(team, workers=1).fusion.bound.rank == 6
+    with pytest.raises(SelectionError, match="'racks' is correlated between pixels"):
+        select_team(team, Budget(tiles=3), workers=1)
+
+
 POSE = "[0, 0, 2, 0, 0, 0, 1]"
 SCALED = "[[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]]"
 SHEARED = "[[1, 0.4, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]"
@@ -303,6 +324,9 @@ BAD = [
     ("body = 1\n", "", ConfigError, "body must be a table, not 1"),
     ("", "budget = -1", ConfigError, "agent 'racks': budget is negative: -1"),
     ("", "noise = -0.1", NoiseError, "agent 'racks'.*positive"),
+    ("", "noise = [1]", ConfigError, r"noise must be a number or a text or a table, not \[1\]"),
+    ("", "noise = 'none.toml'", NoiseError, "agent 'racks': cannot read the noise file .*none.toml"),
+    ("", "noise = { model = 'gausian', sigma = 1 }", NoiseError, "agent 'racks': .*gaussian"),
     ("", "pose = [1, 2, 3]", PoseError, "agent 'racks': pose: .*seven numbers"),
     ("", 'pose = ["a"]', PoseError, "agent 'racks': pose: "),
     (
