@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +82,27 @@ def as_pose(values: Any) -> npt.NDArray[np.float64]:
     if array.size != 16:
         raise PoseError(f"expected a 4x4 matrix or seven numbers x y z qx qy qz qw, got {array.size} numbers")
     return se3.as_pose(array.reshape(4, 4))
+
+
+def parse_displacements(file: Path | None) -> npt.NDArray[np.float64] | None:
+    """Camera-frame twists (m, 6) from a text file with six numbers a row; `#` starts a comment.
+
+    Raises:
+        OptionError: the file is missing, or has something else in it.
+    """
+    if file is None:
+        return None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # NumPy's own remark on an empty file
+            rows = np.loadtxt(file, ndmin=2)
+    except OSError as error:
+        raise OptionError(f"--displacements {file}: {error.strerror or 'no such file'}") from error
+    except ValueError as error:
+        raise OptionError(f"--displacements {file}: expected six numbers a row ({error})") from error
+    if rows.shape[1] != 6 or len(rows) == 0:
+        raise OptionError(f"--displacements {file}: expected rows of six numbers, got shape {rows.shape}")
+    return rows
 
 
 def _read(file: Path) -> Any:

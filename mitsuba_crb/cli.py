@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from . import __version__
-from .errors import MitsubaCRBError, OutputError
+from .errors import MitsubaCRBError, OptionError, OutputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -213,6 +213,19 @@ def bound(
         Literal["camera", "world"],
         typer.Option(help="Of the matrices and Jacobian columns; the standard deviations do not change."),
     ] = "camera",
+    hcr: Annotated[
+        bool,
+        typer.Option(
+            "--hcr",
+            help="Also bound errors over finite displacements (Hammersley, Chapman, Robbins): repetition.",
+        ),
+    ] = False,
+    displacements: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Of --hcr: six numbers a row, camera-frame twists; default: along its axes."
+        ),
+    ] = None,
     json_file: JsonFile = None,
     exr_file: Annotated[
         Path | None,
@@ -226,14 +239,20 @@ def bound(
     """The Cramér–Rao bound on the camera's pose."""
     start = time.perf_counter()
     with foreseen(debug):
-        from .arguments import parse_defines, pose_file
+        from .arguments import parse_defines, parse_displacements, pose_file
         from .noise import Gaussian
 
         options = _view_options(sensor, pose, size, spp, seed, batches)
         defines = parse_defines(define)
         noise = None if sigma is None else Gaussian(sigma)
         inputs = [scene, *([Path(pixels)] if pixels else []), *filter(None, [pose_file(pose), prior])]
+        inputs += [displacements] if displacements else []
         _check_targets({"--json": json_file, "--exr": exr_file, "--plot": plot_file}, inputs)
+        if displacements and not hcr:
+            raise OptionError("--displacements belongs to --hcr; give both")
+        if hcr and (prior or marginalize):
+            raise OptionError("--hcr knows neither priors nor nuisances; leave out --prior and --marginalize")
+        twists = parse_displacements(displacements)
 
         from .prior import load_prior
 
@@ -241,7 +260,8 @@ def bound(
 
         from .export import Gathering, bound_document, write_exr, write_json
         from .measure import pose_bound
-        from .report import print_bound, progress
+        from .measure_displaced import hcr_bound
+        from .report import print_bound, print_hcr, progress
         from .scene import load_scene
 
         gathering = Gathering() if exr_file or plot_file else None
@@ -266,6 +286,18 @@ def bound(
                 **options,
             )
             result = result.to_frame(frame)
+            beyond = None
+            if hcr:
+                beyond = hcr_bound(
+                    loaded,
+                    noise,
+                    displacements=twists,
+                    method=method,
+                    pixels=pixels,
+                    drop_invalid=drop_invalid,
+                    on_tile=lambda _, done, total: advance(done, total),
+                    **options,
+                )
         seconds = {"load": load, **result.provenance["seconds"], "total": time.perf_counter() - start}
         provenance = {**result.provenance, "scene": str(scene), "defines": defines, "seconds": seconds}
         if prior:
@@ -273,7 +305,8 @@ def bound(
         result = dataclasses.replace(result, provenance=provenance)
         try:
             if json_file is not None:
-                write_json(json_file, bound_document(result))
+                more = {} if beyond is None else {"hcr": beyond.to_dict()}
+                write_json(json_file, {**bound_document(result), **more})
             if gathering is not None:
                 width, height = provenance["size"]
                 variance = provenance["noise"]["sigma"] ** 2
@@ -292,6 +325,8 @@ def bound(
                     write_plot(plot_file, result, pictures)
         finally:  # a disk that fills up must not cost the answer
             print_bound(_console(), result)
+            if beyond is not None:
+                print_hcr(_console(), beyond)
 
 
 @app.command()

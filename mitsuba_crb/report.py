@@ -19,6 +19,7 @@ from .se3 import TWIST_ORDER
 if TYPE_CHECKING:
     from .bound import PoseBound
     from .doctor import Diagnosis
+    from .hcr import HCRBound
     from .team import Team
     from .team_measure import TeamFusion, TeamSelection
     from .validation import JacobianCheck
@@ -39,6 +40,31 @@ def print_bound(console: Console, bound: PoseBound) -> None:
         _costs(console, bound)
     _facts(console, _bound_facts(bound))
     _notes(console, facts.get("warnings", ()))
+
+
+def print_hcr(console: Console, bound: HCRBound) -> None:
+    """The bound over finite displacements beside the local one, and where the image repeats."""
+    _line(
+        console,
+        f"Unbiased at {len(bound.displacements)} displaced poses, too (Hammersley, Chapman and Robbins):",
+    )
+    table = _table()
+    for head in ("", "1σ bound", "/ local", "unit"):
+        table.add_column(head, justify="right" if head in ("1σ bound", "/ local") else "left")
+    local = bound.cramer_rao
+    groups = (
+        (_POSITION, bound.position_std, local.position_std, "scene unit"),
+        (_ROTATION, bound.rotation_std_deg, local.rotation_std_deg, "deg"),
+    )
+    for names, deviations, locals_, unit in groups:
+        for name, here, there in zip(names, deviations, locals_, strict=True):
+            ratio = f"{here / there:.3g}" if math.isfinite(here) else ""
+            table.add_row(name, number_with_error(float(here), math.nan)[0], ratio, unit)
+        table.add_section()
+    console.print(table)
+    repeated = [", ".join(f"{value:.6g}" for value in xi) for xi in bound.displacements[bound.repeats]]
+    rows = [("image repeats at", f"camera-frame twist ({twist})") for twist in repeated]
+    _facts(console, rows or [("image repeats at", "none of them")])
 
 
 def _deviations(console: Console, bound: PoseBound, owner: str = "camera") -> None:

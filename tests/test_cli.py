@@ -439,3 +439,38 @@ def test_pose_that_is_a_folder_or_absurdly_long_is_refused(tmp_path):
         parse_pose(str(tmp_path))
     with pytest.raises(PoseError):
         parse_pose("x" * 5000)
+
+
+class TestDisplacements:
+    def test_hcr_is_printed_and_written_beside_the_local_bound(self, scenes, tmp_path, capsys):
+        rows = tmp_path / "twists.txt"
+        rows.write_text("# ρ, then φ\n0 0.5 0 0 0 0\n0.1 0 0 0 0 0\n")
+        target = tmp_path / "bound.json"
+        wall = str(scenes / "textured_wall" / "textured_wall.xml")
+        arguments = ["--size", "24x18", "--spp", "16", "--displacements", str(rows), "--json", str(target)]
+        assert cli.run(["bound", wall, "--hcr", *arguments]) == 0
+        assert "Unbiased at 2 displaced poses" in capsys.readouterr().out
+        document = json.loads(target.read_text())
+        assert document["hcr"]["repeats"] == [False, False]
+        assert all(
+            a >= b for a, b in zip(document["hcr"]["position_std"], document["position_std"], strict=True)
+        )
+
+    @pytest.mark.parametrize(
+        ("arguments", "words"),
+        [
+            (["--hcr", "--displacements", "missing.txt"], "missing.txt"),
+            (["--displacements", "{rows}"], "belongs to --hcr"),
+            (["--hcr", "--displacements", "{rows}"], "expected rows of six"),
+            (["--hcr", "--marginalize", "gain"], "neither priors nor nuisances"),
+        ],
+    )
+    def test_bad_displacements_are_one_line_with_exit_code_2(
+        self, scenes, tmp_path, capsys, arguments, words
+    ):
+        rows = tmp_path / "twists.txt"
+        rows.write_text("1 2 3\n")
+        wall = str(scenes / "textured_wall" / "textured_wall.xml")
+        arguments = [text.format(rows=rows) for text in arguments]
+        assert cli.run(["bound", wall, *arguments]) == 2
+        assert words in capsys.readouterr().err
