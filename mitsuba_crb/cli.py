@@ -186,6 +186,14 @@ def bound(
             help="Standard deviation of the pixel noise (radiance); default: 0.01 of the image's white.",
         ),
     ] = None,
+    noise_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--noise",
+            metavar="FILE.toml",
+            help="Noise model and sensor response: a table [noise], see `mitsuba_crb.noise.schema`.",
+        ),
+    ] = None,
     marginalize: Annotated[
         list[str] | None,
         typer.Option(
@@ -240,12 +248,25 @@ def bound(
     start = time.perf_counter()
     with foreseen(debug):
         from .arguments import parse_defines, parse_displacements, pose_file
-        from .noise import Gaussian
+        from .noise import CoupledNoise, Gaussian, NoiseModel
+        from .noise import load as load_noise
 
+        if sigma is not None and noise_file is not None:
+            raise OptionError("--sigma and --noise both say what the noise is; give one of them")
         options = _view_options(sensor, pose, size, spp, seed, batches)
         defines = parse_defines(define)
-        noise = None if sigma is None else Gaussian(sigma)
-        inputs = [scene, *([Path(pixels)] if pixels else []), *filter(None, [pose_file(pose), prior])]
+        noise: NoiseModel | None = None if sigma is None else Gaussian(sigma)
+        if noise_file is not None:
+            noise = load_noise(noise_file)
+        if isinstance(noise, CoupledNoise) and (exr_file or plot_file):
+            raise OptionError(
+                "--exr and --plot show what each pixel tells, but this noise couples pixels; leave them out"
+            )
+        inputs = [
+            scene,
+            *([Path(pixels)] if pixels else []),
+            *filter(None, [pose_file(pose), prior, noise_file]),
+        ]
         inputs += [displacements] if displacements else []
         _check_targets({"--json": json_file, "--exr": exr_file, "--plot": plot_file}, inputs)
         if displacements and not hcr:
@@ -264,7 +285,8 @@ def bound(
         from .report import print_bound, print_hcr, progress
         from .scene import load_scene
 
-        gathering = Gathering() if exr_file or plot_file else None
+        weighted = None if isinstance(noise, CoupledNoise) else noise
+        gathering = Gathering(weighted) if exr_file or plot_file else None
         with _collected(), progress() as advance:  # the bound's provenance repeats them
 
             def on_tile(tile: TileJacobian, done: int, total: int) -> None:
@@ -309,7 +331,7 @@ def bound(
                 write_json(json_file, {**bound_document(result), **more})
             if gathering is not None:
                 width, height = provenance["size"]
-                variance = provenance["noise"]["sigma"] ** 2
+                variance = provenance["noise"]["sigma"] ** 2 if noise is None else 1.0
                 pictures = gathering.pictures(
                     result.information, (width, height), frame=frame, variance=variance
                 )

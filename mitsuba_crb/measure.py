@@ -159,7 +159,7 @@ def pose_bound(
         warnings.warn(warning.message, warning.category, stacklevel=2)
     provenance = {
         **run.provenance(),
-        "noise": {**model.to_dict(), "origin": origin},
+        "noise": {**model.to_dict(), "description": model.description, "origin": origin},
         "noise_inflation": inflation,
         "warnings": list(dict.fromkeys(str(warning.message) for warning in caught)),
         "seconds": {

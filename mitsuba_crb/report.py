@@ -170,7 +170,7 @@ def _length_scale(length: float) -> str:
 
 def _noise(noise: dict[str, Any]) -> str:
     sigma, origin = noise.get("sigma"), noise.get("origin")
-    named = f"Gaussian, σ = {sigma:.4g}" if sigma is not None else str(noise.get("kind", "given"))
+    named = f"Gaussian, σ = {sigma:.4g}" if sigma is not None else str(noise.get("description", "given"))
     return f"{named} ({origin})" if origin else named
 
 

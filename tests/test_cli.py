@@ -188,6 +188,8 @@ def test_defaults_are_the_librarys(command, other):
         (["--pose", "0 0 0 0 0 0 2"], "length"),
         (["--pose", "0 0 nan 0 0 0 1"], "NaN"),
         (["--sigma", "0"], "positive"),
+        (["--sigma", "1", "--noise", "camera.toml"], "give one of them"),
+        (["--noise", "nowhere.toml"], "cannot read the noise file"),
         (["--sigma", "-1"], "positive"),
         (["--sigma", "nan"], "positive"),
         (["--sigma", "inf"], "positive"),
@@ -474,3 +476,21 @@ class TestDisplacements:
         arguments = [text.format(rows=rows) for text in arguments]
         assert cli.run(["bound", wall, *arguments]) == 2
         assert words in capsys.readouterr().err
+
+
+def test_a_noise_file_reaches_the_library_and_the_pictures(rendered, capsys, tmp_path):
+    file = tmp_path / "camera.toml"
+    file.write_text('[noise]\nmodel = "poisson_gaussian"\ngain = 0.01\nread_noise = 0.02\n')
+    assert cli.run(["bound", "room.xml", "--noise", str(file), "--exr", str(tmp_path / "out.exr")]) == 0
+    assert rendered.noise.gain == 0.01
+    assert (tmp_path / "out.exr").exists()
+
+
+def test_pictures_of_pixels_need_noise_that_does_not_couple_them(rendered, capsys, tmp_path):
+    file = tmp_path / "correlated.toml"
+    file.write_text('[noise]\nmodel = "stationary"\nautocovariance = [[0.1, 1.0, 0.1]]\n')
+    assert cli.run(["bound", "room.xml", "--noise", str(file)]) == 0
+    capsys.readouterr()
+    assert "couples pixels" in refused(
+        capsys, "bound", "room.xml", "--noise", str(file), "--plot", str(tmp_path / "out.png")
+    )

@@ -152,6 +152,13 @@ class TestPhotonsThroughSRGBIntoCodes(NoiseLaws):
         bins = np.diff(below, axis=0, prepend=0.0, append=1.0)
         return np.log(bins[values, np.arange(3)]).sum(axis=1)
 
+    def test_many_values_are_interpolated_to_a_relative_1e_3(self):
+        mean = np.geomspace(1e-3, 0.9, 2400).reshape(800, 3)
+        pixels = np.zeros((800, 2), int)
+        together = self.model.weights(pixels, mean)
+        few = self.model.weights(pixels[::40], mean[::40])
+        np.testing.assert_allclose(together[::40], few, rtol=1e-3, atol=1e-6 * few.max())
+
     def test_the_unquantised_information_fails(self):
         endless = noise.Sensor(self.model.noise, "before", noise.SRGB, self.exposure)
         assert self.misfit(self.means[1], endless) > 10.0
