@@ -47,9 +47,10 @@ SCENES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param("cloud", marks=pytest.mark.slow), "camera in fog", "radiance field"]
-)
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("cloud", "camera in fog")]
+
+
+@pytest.mark.parametrize("name", ["radiance field", *SLOW])
 def test_rotation_is_the_filter_term_and_translation_a_difference(name: str) -> None:
     """Rotation: finite differences project onto flow's columns with slope 1, to 4 errors and 1 % of bias."""
     options: dict[str, Any] = {"spp": 256, "batches": 16}
