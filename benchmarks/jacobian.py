@@ -1,0 +1,302 @@
+"""What the Jacobian and the bound cost, beside the renders and the methods that they stand for.
+
+    python benchmarks/jacobian.py                      # everything; about ten minutes on 2 quiet cores
+    python benchmarks/jacobian.py --quick              # small images, a minute
+    python benchmarks/jacobian.py --only sides cold    # some of: sides precision pixels subset cold
+    python benchmarks/jacobian.py --sizes 64 512       # sides of the images of "sides"
+
+sides: one `mi.render` with the film's gaussian filter and one with a box film, the paths alone
+(`render_pixels`, the floor of any method), `pose_jacobian` and `pose_bound` by flow; medians of five
+alternating warm rounds and their ratios to both renders, of elapsed time and of CPU time (which other
+processes disturb less). precision: seconds until the standard error is 1 % of the trace and of the smallest
+observed eigenvalue of F (camera frame, translation in length scales), from one measured run and se ∝ 1/√spp,
+for flow, forward and finite_difference; what each does not see is not charged to it. pixels, subset: cost
+against the number of pixels, and its log-log slope. cold: one process, imports and compilation included.
+All numbers also go to benchmarks/jacobian.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from mitsuba_crb import load_scene, pose_bound, pose_jacobian
+from mitsuba_crb.information import FisherInformation
+from mitsuba_crb.jacobian.pixels import render_pixels
+from mitsuba_crb.scene import open_view
+from mitsuba_crb.subset import tiles
+
+ROOT = Path(__file__).parents[1]
+PARTS = ("sides", "precision", "pixels", "subset", "cold")
+DIFFUSE = ("textured_room", "textured_wall", "boxes")
+GLOSSY = "textured_wall, rough conductor"
+ROUNDS = 5
+console = Console(width=140)
+
+
+def scene_file(name: str) -> Path:
+    """A shipped scene's file."""
+    return ROOT / "scenes" / name / f"{name}.xml"
+
+
+def opened(name: str, size: int, *, box: bool = False) -> Any:
+    """A square view of a shipped scene; `box` gives its film the box filter."""
+    path = scene_file(name.split(",", maxsplit=1)[0])
+    text = path.read_text()
+    if box:
+        text = text.replace('<rfilter type="gaussian"/>', '<rfilter type="box"/>')
+    if name == GLOSSY:
+        text = text.replace(
+            '<bsdf type="diffuse">', '<bsdf type="roughconductor"><float name="alpha" value="0.3"/>'
+        )
+        text = text.replace('name="reflectance"', 'name="specular_reflectance"')
+    if text == path.read_text():
+        return load_scene(path, width=str(size), height=str(size))
+    # Beside the scene, because its files are named relative to it.
+    changed = path.with_name(f".benchmark_{os.getpid()}.xml")
+    changed.write_text(text)
+    try:
+        return load_scene(changed, width=str(size), height=str(size))
+    finally:
+        changed.unlink()
+
+
+def timed(function: Callable[[], object]) -> tuple[float, float]:
+    """Elapsed and CPU seconds of one call."""
+    start, cpu = time.perf_counter(), time.process_time()
+    function()
+    return time.perf_counter() - start, time.process_time() - cpu
+
+
+def renders(scene: Any, spp: int) -> Callable[[], None]:
+    """One render, waited for."""
+    import drjit as dr
+    import mitsuba as mi
+
+    def render() -> None:
+        dr.eval(mi.render(scene, spp=spp, seed=1))
+        dr.sync_thread()
+
+    return render
+
+
+def paths_alone(scene: Any, size: int, spp: int) -> Callable[[], None]:
+    """The same paths without derivatives, tile by tile."""
+    parts = list(tiles(np.ones((size, size), dtype=bool), 256))
+
+    def trace() -> None:
+        with open_view(scene) as view:
+            for part in parts:
+                render_pixels(view, part, spp=spp // 4, batches=4, seed=1)
+
+    return trace
+
+
+def sides(sizes: list[int], spp: int) -> list[dict[str, Any]]:
+    """Renders, paths, Jacobian and bound, in turns."""
+    rows = []
+    for name in (*DIFFUSE, GLOSSY):
+        for size in sizes:
+            scene, box = opened(name, size), opened(name, size, box=True)
+            calls: dict[str, Callable[[], object]] = {
+                "render, gaussian film": renders(scene, spp),
+                "render, box film": renders(box, spp),
+                "paths alone": paths_alone(scene, size, spp),
+                "pose_bound": lambda scene=scene: pose_bound(scene, spp=spp),
+            }
+            if size <= 512:  # the whole Jacobian of a larger image is gigabytes
+                calls["pose_jacobian"] = lambda scene=scene: pose_jacobian(scene, spp=spp)
+            for call in calls.values():
+                call()
+            rounds = [{side: timed(call) for side, call in calls.items()} for _ in range(ROUNDS)]
+            table = Table(
+                "",
+                "s",
+                "x gaussian",
+                "x box",
+                "CPU s",
+                "x gaussian",
+                "x box",
+                title=f"{name} {size}x{size}, {spp} spp",
+            )
+            for side in calls:
+                row: dict[str, Any] = {"scene": name, "size": size, "spp": spp, "side": side}
+                for kind, which in enumerate(("seconds", "cpu_seconds")):
+                    row[which] = statistics.median(r[side][kind] for r in rounds)
+                    for film in ("gaussian", "box"):
+                        row[f"{which}_per_{film}_render"] = statistics.median(
+                            r[side][kind] / max(r[f"render, {film} film"][kind], 1e-3) for r in rounds
+                        )
+                rows.append(row)
+                table.add_row(side, *(f"{row[key]:.3f}" for key in list(row)[4:]))
+            console.print(table)
+    return rows
+
+
+def relative_errors(information: FisherInformation) -> tuple[float, float]:
+    """Relative standard errors of the trace and of the smallest observed eigenvalue, in scaled units."""
+    rows, columns = np.triu_indices(6)
+    F = information.matrix * np.outer(information.scale, information.scale)
+    cov = information.covariance_of_entries * np.outer(
+        *2 * [information.scale[rows] * information.scale[columns]]
+    )
+    values, vectors = np.linalg.eigh(F)
+    found = []
+    for target, gradient in [
+        (float(np.trace(F)), (rows == columns).astype(float)),
+        *(
+            (value, np.where(rows == columns, 1.0, 2.0) * v[rows] * v[columns])
+            for value, v in zip(values, vectors.T, strict=True)
+        ),
+    ]:
+        error = float(np.sqrt(gradient @ cov @ gradient))
+        found.append(error / target if target > 3.0 * error else np.inf)
+    return found[0], next((error for error in found[1:] if np.isfinite(error)), np.inf)
+
+
+def _bound_into(runs: list[Any], scene: Any, spp: int, method: str) -> None:
+    runs.append(pose_bound(scene, spp=spp, method=method))
+
+
+def precision(size: int, spp: int) -> list[dict[str, Any]]:
+    """Seconds to 1 %, by every method."""
+    rows = []
+    for name in ("textured_wall", "textured_room"):
+        scene = opened(name, size)
+        table = Table(
+            "method",
+            "s",
+            "se of trace",
+            "s to 1 %",
+            "x flow",
+            "se of λ_min",
+            "s to 1 %",
+            "x flow",
+            title=f"{name} {size}x{size}, {spp} spp",
+        )
+        for method in ("flow", "forward", "finite_difference"):
+            pose_bound(scene, spp=4, method=method)
+            runs: list[Any] = []
+            once = partial(_bound_into, runs, scene, spp, method)
+            seconds = statistics.median(timed(once)[0] for _ in range(3))
+            trace, smallest = relative_errors(runs[-1].information)
+            row = {
+                "scene": name,
+                "size": size,
+                "method": method,
+                "seconds": seconds,
+                "trace_error": trace,
+                "smallest_error": smallest,
+            }
+            row |= {
+                "seconds_to_1_percent": seconds * (trace / 0.01) ** 2,
+                "smallest_seconds_to_1_percent": seconds * (smallest / 0.01) ** 2,
+            }
+            rows.append(row)
+            flow = next(r for r in reversed(rows) if r["method"] == "flow")
+            table.add_row(
+                method,
+                f"{seconds:.2f}",
+                f"{trace:.3%}",
+                f"{row['seconds_to_1_percent']:.3f}",
+                f"{row['seconds_to_1_percent'] / flow['seconds_to_1_percent']:.1f}",
+                f"{smallest:.3%}",
+                f"{row['smallest_seconds_to_1_percent']:.3f}",
+                f"{row['smallest_seconds_to_1_percent'] / flow['smallest_seconds_to_1_percent']:.1f}",
+            )
+        console.print(table)
+    return rows
+
+
+def scaling(title: str, counts: list[int], calls: list[Callable[[], object]]) -> list[dict[str, Any]]:
+    """Cost against the number of pixels, with the slope of the log-log fit."""
+    rows = []
+    table = Table("pixels", "s", "CPU s", "peak MiB", title=title)
+    for count, call in zip(counts, calls, strict=True):
+        call()
+        seconds, cpu = (statistics.median(x) for x in zip(*(timed(call) for _ in range(3)), strict=True))
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        rows.append({"pixels": count, "seconds": seconds, "cpu_seconds": cpu, "peak_mib": peak})
+        table.add_row(str(count), f"{seconds:.3f}", f"{cpu:.3f}", f"{peak:.0f}")
+    console.print(table)
+    large = [row for row in rows if row["pixels"] >= 128**2]
+    for key in ("seconds", "cpu_seconds"):
+        slope = np.polyfit(*(np.log([row[k] for row in large]) for k in ("pixels", key)), 1)[0]
+        console.print(f"slope of {key} from 128² on: {slope:.3f}")
+    return rows
+
+
+def pixels(largest: int) -> list[dict[str, Any]]:
+    """Cost against the image's size."""
+    scene = opened("textured_wall", 64)
+    sizes = [n for n in (64, 128, 256, 512, 1024, 2048) if n <= largest]
+    calls: list[Callable[[], object]] = [lambda n=n: pose_bound(scene, size=(n, n), spp=16) for n in sizes]
+    return scaling("pose_bound of textured_wall, 16 spp, against pixels", [n * n for n in sizes], calls)
+
+
+def subset(size: int) -> list[dict[str, Any]]:
+    """Cost of random subsets of a large image."""
+    scene = opened("textured_wall", 64)
+    shares = [0.01, 0.03, 0.1, 0.3, 1.0]
+    calls: list[Callable[[], object]] = [
+        lambda s=s: pose_bound(scene, size=(size, size), spp=16, pixels=f"random:{s}") for s in shares
+    ]
+    return scaling(f"random:s of {size}x{size}, 16 spp", [round(s * size * size) for s in shares], calls)
+
+
+def cold(size: int) -> list[dict[str, Any]]:
+    """`bound` on textured_room in a process of its own, twice: the first may compile."""
+    command = [str(Path(sys.executable).with_name("mitsuba-crb")), "bound", str(scene_file("textured_room"))]
+    command += ["--size", f"{size}x{size}"]
+    rows = []
+    for run in ("first", "second"):
+        start = time.perf_counter()
+        subprocess.run(command, check=True, capture_output=True)
+        rows.append({"run": run, "size": size, "seconds": time.perf_counter() - start})
+        console.print(f"cold start, {run} process, textured_room {size}x{size}: {rows[-1]['seconds']:.1f} s")
+    return rows
+
+
+def main() -> None:
+    """Run the parts asked for."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--quick", action="store_true", help="small images")
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
+    parser.add_argument("--sizes", nargs="+", type=int, default=None, help="default 64 256 512 1024")
+    parser.add_argument("--spp", type=int, default=64)
+    options = parser.parse_args()
+    warnings.simplefilter("ignore")
+    size = 128 if options.quick else 512
+    sizes = options.sizes or ([64, 128] if options.quick else [64, 256, 512, 1024])
+    runs: dict[str, Callable[[], list[dict[str, Any]]]] = {
+        "sides": lambda: sides(sizes, options.spp),
+        "precision": lambda: precision(size // 2, options.spp),
+        "pixels": lambda: pixels(256 if options.quick else 2048),
+        "subset": lambda: subset(512 if options.quick else 2048),
+        "cold": lambda: cold(size),
+    }
+    results: dict[str, Any] = {"load": os.getloadavg(), "cores": os.cpu_count()}
+    for part in options.only:
+        results[part] = runs[part]()
+        (ROOT / "benchmarks" / "jacobian.json").write_text(json.dumps(results, indent=1))
+
+
+if __name__ == "__main__":
+    main()
