@@ -154,8 +154,7 @@ def _scene_parameter(view: View, parameters: mi.SceneParameters, key: str, scale
         instead = {"x_fov": "fov", "principal_point_offset_x": "principal_point"}
         cure = instead.get(key.rpartition(".")[2])
         raise NuisanceError(
-            f"Mitsuba has no derivative in {key}"
-            + (f"; the nuisance {cure} is what you mean" if cure else "")
+            f"Mitsuba has no derivative in {key}" + (f"; use the nuisance {cure}" if cure else "")
         )
     value = type(value)(value)
     if is_placement(value):
