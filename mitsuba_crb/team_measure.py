@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from multiprocessing import get_context
@@ -166,7 +168,8 @@ def _each(measure: Callable[[Job], T], team: Team, workers: int | None, on_agent
             report(len(results), len(jobs))
         return results
     with ProcessPoolExecutor(count, get_context("spawn"), initializer=_die_quietly) as pool:
-        futures = [pool.submit(_named, measure, job) for job in jobs]
+        with _interrupts_ignored():
+            futures = [pool.submit(_named, measure, job) for job in jobs]
         try:
             for done, future in enumerate(as_completed(futures), 1):
                 future.result()
@@ -179,6 +182,19 @@ def _each(measure: Callable[[Job], T], team: Team, workers: int | None, on_agent
         finally:
             pool.shutdown(cancel_futures=True)
     return [future.result() for future in futures]
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Processes that start here are deaf to Ctrl-C while they import; only a main thread may arrange that."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _die_quietly() -> None:
