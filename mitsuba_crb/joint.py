@@ -188,8 +188,8 @@ class JointAccumulator:
             batches, block, sampled, coupled: see `InformationAccumulator`.
 
         Raises:
-            NuisanceError: per-tile nuisances with different tiles, with tiles that are no multiple of 16, or
-                with noise that couples tiles.
+            NuisanceError: per-tile nuisances with different tiles, with tiles that are no multiple of
+                `BLOCK`, or with noise that couples tiles.
         """
         self._batches, self._block = batches, block
         self._parameters = parameters
@@ -304,7 +304,7 @@ def tile_side(names: tuple[str, ...]) -> int | None:
     """Side [pixel] of the tiles that the names' per-tile nuisances ("gain:32") share; None if there is none.
 
     Raises:
-        NuisanceError: they differ, or are no positive multiple of 16.
+        NuisanceError: they differ, or are no positive multiple of `BLOCK`.
     """
     sides = {side for side in map(_side_of, names) if side is not None}
     if len(sides) > 1:

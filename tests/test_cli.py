@@ -163,6 +163,18 @@ def test_options_reach_the_library(rendered, capsys, tmp_path):
     assert rendered.noise.sigma == 0.1
 
 
+def test_what_cannot_be_a_prior_is_refused(capsys, tmp_path):
+    assert "no prior file" in refused(capsys, "bound", "room.xml", "--prior", str(tmp_path / "none.toml"))
+    (tmp_path / "imu.toml").write_text('frame = "body"\nposition_std = 1\n')
+    message = refused(capsys, "bound", "room.xml", "--prior", str(tmp_path / "imu.toml"))
+    assert "'camera' or 'world', not 'body'" in message
+
+
+def test_a_nuisance_that_does_not_exist_is_refused_with_near_ones(capsys):
+    message = refused(capsys, "bound", WALL, "--size", "16x12", "--marginalize", "principal_pint")
+    assert "near ones: principal_point" in message
+
+
 @pytest.mark.parametrize(("command", "other"), [(cli.bound, {}), (cli.check, validation.DEFAULT_OPTIONS)])
 def test_defaults_are_the_librarys(command, other):
     ours = {name: option.default for name, option in inspect.signature(command).parameters.items()}

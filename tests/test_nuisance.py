@@ -212,7 +212,7 @@ class TestBadNames:
             ),
             (["ball.to_world:scale"], "its six motions have no common scale"),
             (["gain", "fov", "gain"], "nuisance gain was given twice"),
-            (["gain:24"], "multiple of 16, not 24"),
+            (["gain:20"], "multiple of 8, not 20"),
             ("gain", "a sequence of names"),
         ],
     )
