@@ -59,7 +59,7 @@ def print_hcr(console: Console, bound: HCRBound) -> None:
     for names, deviations, locals_, unit in groups:
         for name, here, there in zip(names, deviations, locals_, strict=True):
             ratio = f"{here / there:.3g}" if math.isfinite(here) else ""
-            table.add_row(name, number_with_error(float(here), math.nan)[0], ratio, unit)
+            table.add_row(name.format("camera"), number_with_error(float(here), math.nan)[0], ratio, unit)
         table.add_section()
     console.print(table)
     repeated = [", ".join(f"{value:.6g}" for value in xi) for xi in bound.displacements[bound.repeats]]

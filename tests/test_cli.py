@@ -463,7 +463,9 @@ class TestDisplacements:
         wall = str(scenes / "textured_wall" / "textured_wall.xml")
         arguments = ["--size", "24x18", "--spp", "16", "--displacements", str(rows), "--json", str(target)]
         assert cli.run(["bound", wall, "--hcr", *arguments]) == 0
-        assert "Unbiased at 2 displaced poses" in capsys.readouterr().out
+        printed = capsys.readouterr().out.partition("Unbiased at 2 displaced poses")[2]
+        assert "pitch, about camera x" in printed
+        assert "none of them" in printed
         document = json.loads(target.read_text())
         assert document["hcr"]["repeats"] == [False, False]
         assert all(

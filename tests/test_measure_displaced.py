@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_scenes import T, camera, scene, texture, wall
+from small_scenes import T, camera, mi, scene, texture, wall
 
 from mitsuba_crb import se3
 from mitsuba_crb.errors import NoiseError, OptionError
@@ -108,3 +108,44 @@ def test_noise_that_is_not_gaussian_is_refused():
 
     with pytest.raises(NoiseError, match="finite displacements need Gaussian noise"):
         hcr_bound(_papered(), Other(), spp=4)
+
+
+@pytest.mark.slow
+def test_maximum_likelihood_over_renders_mistakes_one_repetition_for_another():
+    """Nearly repeating paper, sideways steps only: HCR foresees what the search does, and CRB does not.
+
+    The search covers 9 windows of ±8 local standard deviations, one about each repetition; elsewhere the
+    images are hundreds of standard deviations away.
+    """
+    sheet = np.tile(np.random.default_rng(1).uniform(0.2, 0.8, (8, 8, 3)), (1, 12, 1))
+    sheet += 0.002 * np.random.default_rng(2).normal(size=sheet.shape)
+    paper = {"type": "bitmap", "bitmap": mi.Bitmap(sheet.astype(np.float32)), "raw": True}
+    paper["to_uv"] = T().scale([1, 12, 1])
+    papered = scene(wall=wall(paper, half=12.0), sensor=camera(24, 18, target=(0, 0, 3)))
+    periods = PERIOD * np.array([k for k in range(-4, 5) if k])
+    steps = np.zeros((8, 6))
+    steps[:, 0] = periods
+    found = hcr_bound(papered, NOISE, displacements=steps, spp=256)
+    local = found.cramer_rao.information.matrix[0, 0] ** -0.5
+    # One displacement at a time and all else known: no more than the whole set's bound.
+    bound = np.max(periods**2 / np.expm1(found.squared_distances))
+    assert bound >= 10.0 * local**2
+    windows = np.array([*periods, 0.0])[:, None] + local * np.linspace(-8.0, 8.0, 33)
+    candidates = windows.ravel()
+    with open_view(papered) as view:
+        pixels = np.stack(np.meshgrid(np.arange(24), np.arange(18)), axis=-1).reshape(-1, 2)
+        images = np.array(
+            [
+                render_pixels(view, pixels, spp=1024, seed=9, pose=view.pose @ se3.exp([x, 0, 0, 0, 0, 0]))[0]
+                for x in candidates
+            ]
+        ).reshape(len(candidates), -1)
+    truth = images[np.argmin(np.abs(candidates))]
+    noisy = truth + NOISE.sigma * np.random.default_rng(3).normal(size=(1000, truth.size))
+    misfit = np.sum(images**2, axis=1) - 2.0 * noisy @ images.T
+    estimates = candidates[np.argmin(misfit, axis=1)]
+    assert np.mean(estimates**2) >= 3.0 * local**2
+    # Negative control: among the steps about the true place alone, the error is the local bound's.
+    near = np.abs(candidates) < 0.5 * PERIOD
+    error = np.mean(candidates[near][np.argmin(misfit[:, near], axis=1)] ** 2)
+    np.testing.assert_allclose(error, local**2, rtol=0.3)
