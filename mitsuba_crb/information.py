@@ -409,18 +409,14 @@ class InformationAccumulator:
         self._plain += symmetrised(
             columns.mean(axis=2).reshape(n * C, P).T @ solved.mean(axis=2).reshape(n * C, P)
         )
-        if self._block == 1:
-            for start in range(0, n, _CHUNK):
-                chunk = slice(start, start + _CHUNK)
-                self._sum += self._units.add(ordered_products(columns[chunk], solved[chunk])).sum(axis=1)
-        else:
-            blocks = [
+        for low in range(0, len(starts) - 1, _CHUNK):
+            units = [
                 ordered_products(
                     columns[start:stop].reshape(1, -1, K, P), solved[start:stop].reshape(1, -1, K, P)
                 )
-                for start, stop in pairwise(starts)
+                for start, stop in pairwise(starts[low : low + _CHUNK + 1])
             ]
-            self._sum += self._units.add(np.concatenate(blocks, axis=-1)).sum(axis=1)
+            self._sum += self._units.add(np.concatenate(units, axis=-1)).sum(axis=1)
 
     def information(
         self, *, frame: Frame, variable: str, pose: ArrayLike, length_scale: float, selection: PixelSelection
