@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from . import message as message
     from . import noise as noise
     from . import se3 as se3
+    from .bayesian import van_trees as van_trees
     from .bound import PoseBound as PoseBound
     from .bound import cramer_rao_bound as cramer_rao_bound
     from .coordinates import to_coordinates as to_coordinates
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
     from .measure import pose_jacobian as pose_jacobian
     from .measure_displaced import hcr_bound as hcr_bound
     from .measure_tiles import tile_information as tile_information
+    from .prior import PosePrior as PosePrior
+    from .prior import load_prior as load_prior
     from .scene import load_scene as load_scene
     from .selection import select_tiles as select_tiles
     from .tiles import Budget as Budget
@@ -36,6 +39,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOME = {
+    "van_trees": "bayesian",
     "PoseBound": "bound",
     "cramer_rao_bound": "bound",
     "Agent": "fusion",
@@ -51,6 +55,8 @@ _HOME = {
     "pose_jacobian": "measure",
     "InformationFilter": "information_filter",
     "tile_information": "measure_tiles",
+    "PosePrior": "prior",
+    "load_prior": "prior",
     "load_scene": "scene",
     "select_tiles": "selection",
     "Budget": "tiles",
