@@ -5,8 +5,8 @@ With x = x̄ exp(η), x̄ the prior's mean and η ~ N(0, P⁻¹) in the camera f
     E[(η̂ − η)(η̂ − η)ᵀ] ⪰ (E_prior[F_η(η)] + P)⁻¹,   F_η(η) = J_r(η)ᵀ F(x) J_r(η),
 
 F(x) the information of the camera-frame twist at x and J_r the right Jacobian of SE(3), which brings it to
-the tangent of the mean: exp(η + δ) = exp(η) exp(J_r(η) δ) to first order. The expectation is a mean over poses
-drawn from the prior; their spread gives its standard errors, Monte Carlo noise of the renders included.
+the tangent of the mean: exp(η + δ) = exp(η) exp(J_r(η) δ) to first order. The expectation is a mean over
+poses drawn from the prior; their spread gives its standard errors, noise of the renders included.
 
 Source: van Trees, "Detection, Estimation, and Modulation Theory", part I, 1968, section 2.4.3;
 Solà, Deray and Atchuthan 2018 for J_r.
