@@ -1,6 +1,6 @@
 """Flow's parts against oracles of their own: the sensor model, the integrator, the BSDFs, the filters.
 
-Whole Jacobians are compared in test_flow_accuracy.py; here are the scenes that need the view term.
+Whole Jacobians are compared in test_flow_table.py.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import dataclasses
 import functools
 import gc
 import warnings
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -19,7 +20,7 @@ from small_scenes import T, camera, scene, texture, textured_wall, wall
 
 from mitsuba_crb import pose_bound, se3
 from mitsuba_crb.errors import FilmError, PrecisionWarning
-from mitsuba_crb.jacobian import finite_difference, flow, paths
+from mitsuba_crb.jacobian import flow, paths
 from mitsuba_crb.jacobian.pairs import PairSample, filter_pairs
 from mitsuba_crb.jacobian.pixels import (
     PixelFilter,
@@ -51,11 +52,6 @@ def information(values: np.ndarray) -> np.ndarray:
     batches = values.reshape(len(values), -1, 6)
     total = batches.sum(axis=0)
     return (total.T @ total - sum(b.T @ b for b in batches)) / (len(values) * (len(values) - 1))
-
-
-def projection(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """⟨a, b⟩ column by column, of independent estimates."""
-    return np.einsum("ncj,ncj->j", a.mean(axis=0), b.mean(axis=0))
 
 
 # Closed forms of the flow and its divergence
@@ -326,80 +322,19 @@ def test_diffuse_flat_scenes_need_no_view_term() -> None:
         assert ViewTerm.of(view, paths.tracer(view)) is None
 
 
-def glowing(name: str, shape: dict[str, Any], seed: int) -> dict[str, Any]:
-    """A textured lamp that reflects nothing: what a mirror shows without noise of its own."""
-    return {
-        name: shape
-        | {
-            "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}},
-            "emitter": {"type": "area", "radiance": texture(seed, 16)},
-        }
-    }
+# Tiles
 
 
-def seen_through(bsdf: dict[str, Any], **options: Any) -> dict[str, Any]:
-    """A plane of some material that fills the view, between glowing walls."""
-    behind = {"type": "rectangle", "to_world": T().translate([0, 0, -4]).scale(9)}
-    beyond = {"type": "rectangle", "to_world": T().translate([0, 0, 5]).scale(9).rotate([0, 1, 0], 180)}
-    shapes = glowing("behind", behind, 3) | glowing("beyond", beyond, 5)
-    result = scene(wall=wall() | {"bsdf": bsdf}, **shapes, **options)
-    del result["light"]
-    return result | {"integrator": {"type": "path", "max_depth": 4}}
-
-
-OPACITY = texture(8, 12)
-NORMALS = {
-    "type": "normalmap",
-    "normalmap": {
-        "type": "bitmap",
-        "raw": True,
-        "bitmap": mi.Bitmap(
-            (
-                np.concatenate([np.random.default_rng(6).normal(0.5, 0.1, (8, 8, 2)), np.ones((8, 8, 1))], -1)
-            ).astype(np.float32)
-        ),
-    },
-    "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.8}},
-}
-VIEW_SCENES = {
-    "mirror": seen_through({"type": "conductor"}),
-    "glass pane": seen_through({"type": "thindielectric"}),
-    "mask": seen_through({"type": "mask", "opacity": OPACITY, "bsdf": {"type": "conductor"}}),
-    "rough plastic": scene(
-        wall=wall() | {"bsdf": {"type": "roughplastic", "alpha": 0.2, "diffuse_reflectance": texture(2)}}
-    ),
-    "normal map": scene(wall=wall() | {"bsdf": NORMALS})
-    | {"light": {"type": "point", "position": [2, 2, 0]}},
-    "thin lens mirror": seen_through({"type": "conductor"}, sensor=camera() | THIN),
-}
-
-
-def compare(which: dict[str, Any], spp: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """F's diagonal by flow and by finite differences, and ⟨J_flow, J_fd⟩ column by column."""
-    with open_view(which) as view:
-        pixels = all_pixels(view)
-        ours, _ = flow.jacobian(view, pixels, spp=spp, seed=1, batches=8)
-        theirs, _ = finite_difference.jacobian(view, pixels, spp=spp, seed=2, batches=8)
-    return np.diag(information(ours)), np.diag(information(theirs)), projection(ours, theirs)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", list(VIEW_SCENES))
-def test_radiance_that_depends_on_the_view_agrees_with_finite_differences(name: str) -> None:
-    """⟨J_flow, J_fd⟩/⟨J_fd, J_fd⟩ within 4 %: the step bias of both (1 to 2 %) and noise."""
-    ours, theirs, together = compare(VIEW_SCENES[name], 2048)
-    assert together / theirs == pytest.approx(np.ones(6), abs=0.04)
-    assert ours / theirs == pytest.approx(np.ones(6), abs=0.08)
-
-
-def test_without_the_view_term_a_mirror_would_know_too_much(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Negative control: a mirror taken for a painted wall overstates translation; the view term mends it."""
-    right, reference, _ = compare(VIEW_SCENES["mirror"], 512)
-    monkeypatch.setattr(ViewTerm, "of", staticmethod(lambda *_: None))
-    wrong, _, _ = compare(VIEW_SCENES["mirror"], 512)
-    assert right[:2] / reference[:2] == pytest.approx(np.ones(2), abs=0.2)
-    assert np.all(wrong[:2] / reference[:2] > 2.0)
-    assert wrong[3:] / reference[3:] == pytest.approx(np.ones(3), abs=0.05)
+def test_tiles_change_nothing_and_calls_repeat_bit_for_bit_with_contours(scenes: Path) -> None:
+    options: dict[str, Any] = {"spp": 16, "size": (48, 40)}
+    boxes, sigma = scenes / "boxes" / "boxes.xml", Gaussian(0.01)
+    with pytest.warns(PrecisionWarning):  # sixteen paths
+        whole, again, tiled = (
+            pose_bound(boxes, sigma, tile=t, **options).information for t in (128, 128, 16)
+        )
+    scale = np.sqrt(np.diag(whole.matrix))
+    assert np.array_equal(whole.matrix, again.matrix)
+    assert np.abs((whole.matrix - tiled.matrix) / np.outer(scale, scale)).max() < 1e-12
 
 
 # Kernels

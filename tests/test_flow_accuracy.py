@@ -1,7 +1,7 @@
-"""Flow against finite differences on the shipped scenes: F's diagonal, off-diagonals, and a negative control.
+"""Flow live against finite differences on shipped scenes, and its intervals; references: test_flow_table.py.
 
-A table of scene x relative tolerance. Both sides have independent random numbers; the tolerance covers the
-reference's own step bias, and 4 combined standard errors its noise and flow's.
+Both sides have independent random numbers; the tolerance covers the step bias of finite differences, and 4
+combined standard errors the noise of both.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import T, scene, texture, textured_wall, wall
+from small_scenes import T, scene, wall
 
 from mitsuba_crb import fisher_information, pose_bound, pose_jacobian
 from mitsuba_crb.information import FisherInformation
@@ -41,25 +41,6 @@ BOX = {
     "to_world": T().translate([0.1, 0.2, 2.0]).rotate([1, 1, 0], 35).scale(0.25),
     "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.9}},
 }
-SPHERE = {"type": "sphere", "center": [-0.2, 0.1, 2.0], "radius": 0.35, "bsdf": BOX["bsdf"]}
-CYLINDER = {
-    "type": "cylinder",
-    "p0": [-0.3, -0.3, 2],
-    "p1": [0.4, 0.5, 2],
-    "radius": 0.2,
-    "bsdf": BOX["bsdf"],
-}
-DISK = {
-    "type": "disk",
-    "to_world": T().translate([0.1, 0.1, 2.0]).rotate([1, 0, 0], 150).scale(0.4),
-    "bsdf": BOX["bsdf"],
-}
-CONDUCTOR = wall() | {"bsdf": {"type": "roughconductor", "alpha": 0.15}}
-LAMP = {
-    "type": "rectangle",
-    "to_world": T().translate([0, 1.5, -0.5]).scale([0.5, 0.3, 1]),
-    "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 8.0}},
-}
 # A lamp before the box lights it, and has a silhouette that only other cameras would see.
 HIDDEN = scene(
     wall=wall(),
@@ -68,48 +49,14 @@ HIDDEN = scene(
 ) | {"integrator": {"type": "path", "max_depth": 2, "hide_emitters": True}}
 
 
-@pytest.mark.parametrize(
-    ("which", "tolerance"),
-    [
-        (textured_wall(), 0.03),
-        (scene(wall=wall({"type": "checkerboard", "to_uv": T().scale(8)})), 0.05),
-        (scene(wall=wall(texture(filter_type="nearest"))), 0.05),
-        (scene(wall=wall(), box=BOX), 0.05),
-        (scene(wall=wall(), sphere=SPHERE), 0.05),
-        (scene(wall=wall(), cylinder=CYLINDER), 0.05),
-        (scene(wall=wall(), disk=DISK), 0.05),
-        (scene(wall=CONDUCTOR, lamp=LAMP), 0.05),
-        (HIDDEN, 0.05),
-    ],
-    ids=[
-        "bilinear",
-        "checkerboard",
-        "nearest",
-        "box",
-        "sphere",
-        "cylinder",
-        "disk",
-        "rough conductor",
-        "hidden lamp",
-    ],
-)
-def test_flow_agrees_with_finite_differences(which: Any, tolerance: float) -> None:
-    _assert_agree(*_informations(which, (256, 256)), tolerance)
+def test_flow_agrees_with_finite_differences_where_emitters_are_hidden() -> None:
+    _assert_agree(*_informations(HIDDEN, (256, 256)), 0.05)
 
 
 @pytest.mark.parametrize("name", ["textured_wall", "checkerboard_wall", "sky", "striped_wall", "radial_wall"])
 def test_flow_agrees_on_shipped_walls(name: str, scenes: Path) -> None:
     flow, fd = _informations(scenes / name / f"{name}.xml", (64, 64), size=(64, 48))
     _assert_agree(flow, fd, 0.04)
-
-
-def test_tiles_change_nothing_and_calls_repeat_bit_for_bit_with_contours(scenes: Path) -> None:
-    options: dict[str, Any] = {"spp": 16, "size": (48, 40)}
-    boxes = scenes / "boxes" / "boxes.xml"
-    whole, again, tiled = (pose_bound(boxes, SIGMA, tile=t, **options).information for t in (128, 128, 16))
-    scale = np.sqrt(np.diag(whole.matrix))
-    assert np.array_equal(whole.matrix, again.matrix)
-    assert np.abs((whole.matrix - tiled.matrix) / np.outer(scale, scale)).max() < 1e-12
 
 
 @pytest.mark.slow
@@ -138,16 +85,3 @@ def test_intervals_cover_where_contours_share_samples(scenes: Path) -> None:
 def test_flow_agrees_on_shipped_rooms(name: str, tolerance: float, scenes: Path) -> None:
     flow, fd = _informations(scenes / name / f"{name}.xml", (512, 512), size=(64, 48))
     _assert_agree(flow, fd, tolerance)
-
-
-def test_without_the_parallax_term_a_box_loses_its_translation(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Negative control: the comparison above sees a missing term."""
-    from mitsuba_crb.jacobian import flow as module
-
-    monkeypatch.setattr(
-        module, "parallax_term", lambda *args, batches, **options: np.zeros((batches, len(args[2]), 3, 6))
-    )
-    flow, fd = _informations(scene(wall=wall(), box=BOX), (256, 256))
-    ratio = np.diag(flow.matrix) / np.diag(fd.matrix)
-    assert np.all(np.abs(ratio[3:] - 1.0) < 0.15)
-    assert np.all(np.abs(ratio[:3] - 1.0) > 0.2)

@@ -35,11 +35,13 @@ class Prepared:
 
     steps: NDArray[np.float64]
     """(6,) step of each twist component, translation [scene unit] then rotation [rad]."""
+    lattice: bool = False
+    """Whether film offsets come from a lattice, which resolves edges with far fewer paths."""
     block: int = 1
     """Side of the film blocks whose errors are independent [pixel]: every pixel has its own samples."""
 
 
-def prepare(view: View, step_pixels: float = STEP_PIXELS) -> Prepared:
+def prepare(view: View, step_pixels: float = STEP_PIXELS, lattice: bool = False) -> Prepared:
     """The steps that move the image by `step_pixels`."""
     focal = view.focal_pixels
     radius = float(np.hypot(*view.size)) / np.sqrt(12.0)
@@ -47,7 +49,7 @@ def prepare(view: View, step_pixels: float = STEP_PIXELS) -> Prepared:
     depth = visible_depth(view)
     near, median = np.percentile(depth, [NEAR_PERCENTILE, 50.0]) if depth.size else (1.0, 1.0)
     shift = np.minimum(angle * near, 0.05 * median)
-    return Prepared(np.concatenate([shift, angle]))
+    return Prepared(np.concatenate([shift, angle]), lattice)
 
 
 def jacobian(
@@ -70,12 +72,19 @@ def jacobian(
         (batches, n, 3, 6) Jacobians [radiance / scene unit, radiance / rad], and the image (batches, n, 3),
         the mean of the twelve renders.
     """
-    per_axis = (prepared or prepare(view)).steps
+    prepared = prepared or prepare(view)
     values = np.empty((batches, len(pixels), 3, 6))
     image = np.zeros((batches, len(pixels), 3))
     for axis in range(6):
         values[..., axis], mean = column(
-            view, pixels, axis, per_axis[axis], spp=spp, seed=seed, batches=batches
+            view,
+            pixels,
+            axis,
+            prepared.steps[axis],
+            spp=spp,
+            seed=seed,
+            batches=batches,
+            lattice=prepared.lattice,
         )
         image += mean / 6.0
     return values, image
@@ -90,13 +99,20 @@ def column(
     spp: int,
     seed: int,
     batches: int,
+    lattice: bool = False,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """dI/dξ_axis (batches, n, 3) in the camera frame, and the mean of its two renders, likewise."""
     twist = np.zeros(6)
     twist[axis] = step
     plus, minus = (
         render_pixels(
-            view, pixels, spp=spp // batches, seed=seed, batches=batches, pose=view.pose @ se3.exp(xi)
+            view,
+            pixels,
+            spp=spp // batches,
+            seed=seed,
+            batches=batches,
+            pose=view.pose @ se3.exp(xi),
+            lattice=lattice,
         )
         for xi in (twist, -twist)
     )

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 PILOT = 0x50494C4F
 """Purpose of the random numbers of pilot renders; Jacobians use 0."""
+LATTICE = (3242174889, 2447445414)
+"""2³² times 1/g and 1/g², g³ = g + 1: multiples modulo 1 fill the unit square evenly (Roberts 2018)."""
 
 
 @functools.cache
@@ -244,6 +246,7 @@ def render_pixels(
     batches: int = 1,
     pose: NDArray[np.float64] | None = None,
     purpose: int = 0,
+    lattice: bool = False,
 ) -> NDArray[np.float64]:
     """Estimate I_u at some pixels.
 
@@ -251,6 +254,7 @@ def render_pixels(
         pixels: (n, 2) columns and rows.
         spp: paths per pixel and batch.
         pose: `world_from_camera`; the view's own if None.
+        lattice: film offsets from a randomly shifted lattice instead of independent ones: still unbiased.
 
     Returns:
         (batches, n, 3) float64, linear RGB radiance.
@@ -267,6 +271,7 @@ def render_pixels(
         centre,
         transform,
         dr.opaque(mi.UInt32, spp),
+        lattice,
     )
     values = download(total).reshape(3, len(wide), batches).transpose(2, 1, 0) / spp
     return values[:, : len(pixels)]
@@ -280,14 +285,23 @@ def sum_samples(
     centre: mi.Point2f,
     transform: mi.Transform4f,
     spp: mi.UInt32,
+    lattice: bool,
 ) -> mi.Color3f:
     """Sum of weighted radiance over each lane's samples; equal kernels for all tiles, seeds and poses."""
     import mitsuba as mi
 
     total = mi.Color3f(0.0)
     i = mi.UInt32(0)
+    shift = mi.Point2f(0.0)
+    if dr.hint(lattice, mode="scalar"):
+        shift = sampler.next_2d()
     while dr.hint(i < spp, exclude=[view, pixel_filter], label="pixel samples"):
-        offset, weight = pixel_filter.sample(sampler.next_2d())
+        if dr.hint(lattice, mode="scalar"):
+            # In integers, whose multiples are exact modulo 1.
+            u = shift + mi.Point2f(*((i * mi.UInt32(step) >> 8) / 2.0**24 for step in LATTICE))
+            offset, weight = pixel_filter.sample(u - dr.floor(u))
+        else:
+            offset, weight = pixel_filter.sample(sampler.next_2d())
         aperture = sampler.next_2d()
         ray, importance = camera_ray(view, centre + mi.Vector2f(offset), aperture)
         total += weight * importance * radiance(view, sampler, move_ray(ray, transform))
