@@ -82,7 +82,7 @@ def test_without_the_parallax_term_translation_is_wrong(name: str, monkeypatch: 
         flow, "parallax_term", lambda *args, batches, **options: np.zeros((batches, len(args[2]), 3, 6))
     )
     ratio = np.diag(compared(name, 256)[0])
-    assert np.abs(ratio[:3]).max() > 0.15
+    assert np.abs(ratio[:3]).max() > 0.1
     assert np.all(np.abs(ratio[3:]) < 0.06)
 
 
@@ -93,5 +93,5 @@ def test_without_the_view_term_translation_is_wrong(name: str, monkeypatch: pyte
 
     monkeypatch.setattr(ViewTerm, "of", staticmethod(lambda *_: None))
     ratio = np.diag(compared(name, 256)[0])
-    assert np.abs(ratio[:3]).max() > 0.15
+    assert np.abs(ratio[:3]).max() > 0.1
     assert np.all(np.abs(ratio[3:]) < 0.06)
