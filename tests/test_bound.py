@@ -662,6 +662,7 @@ class TestOutput:
             "rank",
             "unobserved",
             "weakest",
+            "nuisances",
             "optimality",
         ]
         assert written["rotation_std_deg"][2] == "inf"
