@@ -15,8 +15,8 @@ other, and in the sitting room, whose views are alike:
 Values are those of the batches held out from the choice, where their log det exists: few tiles may miss a
 direction, in which noise is negative as often as not. The upper bound holds for the half chosen by. "per
 agent" is every agent choosing greedily for itself with an equal share of the budget; random is the mean of 16
-draws. Measured: the ratio of gains is at most 1.7; in information per direction greedy is worth 1.8 to 12 times
-random, in tiles 2 to 6 times, the more the fewer tiles are sent.
+draws. Measured: the ratio of gains is at most 1.7; in information per direction greedy is worth 1.8 to 12
+times random, in tiles 2 to 6 times, the more the fewer tiles are sent.
 """
 
 from __future__ import annotations
