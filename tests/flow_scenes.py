@@ -219,7 +219,7 @@ ROWS: dict[str, Row] = {
     "nearest": Row(lit(wall=wall(texture(filter_type="nearest")))),
     "checkerboard": Row(lit(wall=wall(CHECKERS))),
     "normal_map": Row(sloping(NORMAL_MAP)),
-    "bump_map": Row(sloping(BUMP_MAP), spp=16384, error=0.008),
+    "bump_map": Row(sloping(BUMP_MAP), spp=32768, error=0.01),
     "smooth_mesh": Row(
         before_wall(
             ball=mesh(*ball_mesh(8, 6), GREY, ball_mesh(8, 6)[0], T().translate([-0.1, 0.15, 2.0]).scale(0.5))
@@ -261,7 +261,7 @@ ROWS: dict[str, Row] = {
         between_lamps({"type": "mask", "opacity": texture(8, 12), "bsdf": {"type": "conductor"}}),
         spp=8192,
         tolerance=0.03,
-        error=0.011,
+        error=0.01,
     ),
     "area_light": Row(lit(light=lamp(T().translate([0, 0, 3]).scale(6).rotate([0, 1, 0], 180), texture(4)))),
     "environment": Row(scene(light=SKY, ball=BALL), spp=32768, error=0.015),
