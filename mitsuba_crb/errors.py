@@ -99,6 +99,14 @@ class MessageError(MitsubaCRBError):
     """A message is corrupt, does not fit its layout, or refers to another base."""
 
 
+class AlignmentError(MitsubaCRBError):
+    """A pose cannot be estimated from this image: its shape, its pixels or the start are at fault."""
+
+
+class TrialError(MitsubaCRBError):
+    """Monte Carlo trials cannot be run, resumed or judged: their number, settings or bound are at fault."""
+
+
 class BlindSpotWarning(UserWarning):
     """A method cannot see some of the scene's image changes; the information is too small."""
 

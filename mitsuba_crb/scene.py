@@ -171,10 +171,9 @@ def open_view(
     Raises:
         SceneError, SensorError, FilmError, IntegratorError, PoseError, OptionError, VariantError, LLVMError.
     """
-    use_mitsuba()
+    loaded, label = as_scene(scene)
     import mitsuba as mi
 
-    loaded, label = _as_scene(scene)
     camera, variable = _find_sensor(loaded, sensor)
     _check_film(camera.film())
     params = mi.traverse(camera)
@@ -203,7 +202,13 @@ def open_view(
         params.update()
 
 
-def _as_scene(scene: Any) -> tuple[mi.Scene, str]:
+def as_scene(scene: Any) -> tuple[mi.Scene, str]:
+    """The scene of a path, a dictionary or a scene, and what to call it.
+
+    Raises:
+        SceneError: it is none of these, cannot be loaded, or has a mesh without faces.
+    """
+    use_mitsuba()
     loaded, label = _loaded(scene)
     for shape in loaded.shapes():
         if shape.is_mesh() and not shape.face_count():

@@ -1,0 +1,426 @@
+"""Estimate a camera's pose from one image: Gauss–Newton and Levenberg–Marquardt on SE(3), and iNeRF's recipe.
+
+For a measured image y with noise precision W and the expected image R(x), the pose minimises
+E(x) = ½ (y − R(x))ᵀ W (y − R(x)). With J = ∂R/∂ξ in the camera frame, g = JᵀW (y − R(x)) and F = JᵀWJ,
+
+    Gauss–Newton        x ← x exp(F⁻¹ g)
+    Levenberg–Marquardt x ← x exp((F + λ diag F)⁻¹ g), λ lowered where E falls and raised where it does not
+    iNeRF               Adam on ξ, g from a random batch of pixels
+
+The renderer's own noise must not pass for the image's. (1) R̂(x) uses the same random numbers at every x, so
+that E is one smooth function and its minimum exists. (2) They are independent of Ĵ's, so that E[ĴᵀW(y − R̂)] =
+JᵀW(y − R): the root is not shifted; nor does it depend on the matrix that multiplies g. E itself comes from
+products of different batches of R̂, without which it would be least where R̂'s noise is. (3) What remains is
+variance. Near the end R̂(x) = A + R̂(x; s) − R̂(x_A; s) with A a render of many paths at an anchor
+x_A: unbiased at every x, and without the noise of s at x_A. What is left is reported as `excess`, the part by
+which the estimate's covariance exceeds the bound because of Ĵ's and R̂'s noise:
+
+    excess = tr(F⁻¹ [ĴᵀWĴ − F + Cov(ĴᵀW R̂)]) / 6.
+
+References: Yen-Chen et al., "iNeRF: Inverting Neural Radiance Fields for Pose Estimation", IROS 2021, section
+3; Nocedal and Wright, "Numerical Optimization", 2nd ed., sections 10.2 and 10.3.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from typing import Any, Literal, Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from . import se3
+from .bound import PoseBound, cramer_rao_bound
+from .errors import AlignmentError, NoiseError, PrecisionWarning
+from .information import ImageJacobian, PixelSelection, fisher_information
+from .measure import Measurement, MeasurementOptions, measurement
+from .noise import NoiseModel
+from .scene import as_scene
+from .se3 import Array
+
+Status = Literal["converged", "diverged", "out of iterations"]
+ESTIMATORS = ("gauss_newton", "levenberg_marquardt", "adam")
+
+ANCHOR_SPP = 16
+"""Paths per pixel of the anchor's render, over those of the others."""
+
+_SMALL_STEP = 0.1
+"""A step below this many standard deviations of the bound ends the search at an anchor."""
+_SMALL_MOTION = 0.1
+"""The same before that, where the renderer's noise is larger than the image's [pixel]."""
+_ANCHORS = 3
+"""At most so many, each where the search from the one before has ended."""
+_REFRESH = 0.5
+"""The Jacobian is measured anew where the image has moved by this since it last was [pixel]."""
+_DAMPING = 1e-3
+"""First λ."""
+_VISIBLE_FALL = 1e-3
+"""Relative fall of E that the renderer's noise does not hide; smaller ones are not insisted on."""
+_LOST = 10.0
+"""Growth of E at which a search is given up."""
+_FIRST, _SECOND = 0.9, 0.999
+"""Adam's decay of the mean and of the mean square."""
+_FAR = 1.0
+"""A step that turns the camera by more [rad], or moves it by more [length scale], has lost it."""
+_COARSEST = 8
+"""Smallest side of a coarse image [pixel]."""
+_RENDER = 0x414C474E
+"""Purpose of the random numbers of R̂."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Alignment:
+    """Where an image was taken from, as an estimator has it."""
+
+    pose: Array
+    """(4, 4), world_from_camera."""
+    status: Status
+    """Whether the search ended by itself; of the pose of one that did not, nothing is known."""
+    residual: float
+    """Root mean square of W^½ (y − R): 1 is expected of an image of this scene with this noise."""
+    iterations: int
+    """Over all levels."""
+    bound: PoseBound
+    """At the estimate."""
+    excess: float
+    """Relative excess of the estimate's covariance over the bound from the renderer's own noise."""
+    masked: int
+    """Pixels left out because the measured image is NaN or infinite there."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Anchor:
+    """A render of many paths that R̂ is tied to; many alignments may share one."""
+
+    pose: Array
+    """(4, 4), where it was rendered from."""
+    batches: Array
+    """(K, H, W, 3), independent renders, or (1, H, W, 3), taken to be exact [radiance]."""
+    jacobian: ImageJacobian | None = None
+    """Measured near there; spares the searches from measuring their own."""
+
+
+def align(
+    scene: Any,
+    image: ArrayLike,
+    noise: NoiseModel,
+    *,
+    estimator: str = "gauss_newton",
+    iterations: int = 30,
+    levels: int = 0,
+    anchor: Anchor | None = None,
+    learning_rate: float = 0.01,
+    batch_pixels: int = 512,
+    **options: Unpack[MeasurementOptions],
+) -> Alignment:
+    """Estimate the pose that an image was taken from.
+
+    Args:
+        scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
+        image: (H, W, 3) measured linear RGB [radiance]; pixels that are not finite are left out.
+        noise: its noise, independent between pixels.
+        estimator: one of `ESTIMATORS`.
+        iterations: at most, on each level.
+        levels: how many times the image is first reduced by two, for starts that are further away.
+        anchor: of the last level; by default rendered where the search would otherwise have ended.
+        learning_rate: of Adam, first step [rad, length scales]; falls to 0.8 of it every 100 steps.
+        batch_pixels: of Adam, pixels of each step.
+        options: see `MeasurementOptions`; `pose` is where the search starts (default: the scene's own), and
+            `size` the image's.
+
+    Returns:
+        `Alignment`; look at its `status` first.
+
+    Raises:
+        AlignmentError: the image has the wrong shape or nothing finite, the start sees nothing of the scene,
+            or an unknown estimator.
+        NoiseError: the noise couples pixels or channels.
+        MitsubaCRBError: as `pose_jacobian`.
+    """
+    measured = _checked_image(image)
+    _check_arguments(estimator, iterations, levels)
+    options["size"] = _size(measured, options.get("size"))
+    loaded, _ = as_scene(scene)
+    damping = _DAMPING if estimator == "levenberg_marquardt" else 0.0
+    count = 0
+    for level in range(levels, 0, -1):
+        small = reduced(measured, 2**level)
+        if min(small.shape[:2]) < _COARSEST:
+            continue
+        coarse: MeasurementOptions = {**options, "size": (small.shape[1], small.shape[0])}
+        with measurement(loaded, **coarse) as run:
+            search = _Search(run, small, noise, None)
+            pose, _, steps = search.least_squares(run.view.pose, damping, iterations)
+            options["pose"] = pose
+            count += steps
+    with measurement(loaded, **options) as run:
+        run.warn_of_limits()
+        search = _Search(run, measured, noise, anchor)
+        if estimator == "adam":
+            pose, status, steps = search.adam(run.view.pose, learning_rate, batch_pixels, iterations)
+        else:
+            pose, status, steps = search.least_squares(run.view.pose, damping, iterations)
+            for _ in range(_ANCHORS if anchor is None else 0):
+                if status != "converged":
+                    break
+                start = pose
+                search.tie(search.anchor(start))
+                pose, status, more = search.least_squares(start, damping, iterations)
+                steps += more
+                if search.motion(start, pose) < _SMALL_MOTION:
+                    break
+        return search.result(pose, status, count + steps)
+
+
+class _Search:
+    """One image, one scene, and what was last measured of it."""
+
+    def __init__(self, run: Measurement, image: Array, noise: NoiseModel, anchor: Anchor | None) -> None:
+        finite = np.isfinite(image).all(axis=2)
+        self.masked = int((run.mask & ~finite).sum())
+        if self.masked:
+            mask = run.mask & finite
+            selection = PixelSelection("only", mask.size, int(mask.sum()), "where the image is finite")
+            run = dataclasses.replace(run, mask=mask, selection=selection)
+        noise.check(run.mask.shape[0], run.mask.shape[1], 3)
+        rows, columns = np.nonzero(run.mask)
+        self.run = run
+        self.noise = noise
+        self.pixels = np.stack([columns, rows], axis=1).astype(np.int64)
+        self.measured = image[rows, columns]
+        self.anchored = False
+        self.correction: Array | float = 0.0
+        if anchor is not None:
+            self.tie(anchor)
+        if anchor is not None and anchor.jacobian is not None and not self.masked:
+            self._use(anchor.jacobian)
+        else:
+            self._use(run.jacobian())
+        self.differentiate(run.view.pose)
+        if not np.diagonal(self.plain).all():
+            raise AlignmentError(
+                "from the start pose the image does not depend on the pose: the scene is out of view; start "
+                "nearer"
+            )
+
+    def anchor(self, pose: Array) -> Anchor:
+        """A render of many paths from here."""
+        run = self.run
+        batches = np.full((run.batches, *run.mask.shape, 3), np.nan)
+        spp = ANCHOR_SPP * run.spp // run.batches
+        values = self._render(pose, spp, run.batches, run.seed + 1)
+        batches[:, self.pixels[:, 1], self.pixels[:, 0]] = values
+        return Anchor(pose, batches)
+
+    def tie(self, anchor: Anchor) -> None:
+        """Add to R̂ what makes it the anchor's image at the anchor."""
+        if anchor.batches.shape[1:] != (*self.run.mask.shape, 3):
+            raise AlignmentError(
+                f"the anchor's image has shape {anchor.batches.shape[1:]}, the measured one "
+                f"{(*self.run.mask.shape, 3)}"
+            )
+        self.correction = 0.0
+        image = anchor.batches[:, self.pixels[:, 1], self.pixels[:, 0]]
+        self.correction = image - self.expected(anchor.pose)
+        self.anchored = True
+
+    def expected(self, pose: Array) -> Array:
+        """(K, n, 3), K independent estimates of R(x)."""
+        batches, run = self.run.batches, self.run
+        return self._render(pose, run.spp // batches, batches, run.seed) + self.correction
+
+    def _render(self, pose: Array, spp: int, batches: int, seed: int) -> Array:
+        from .jacobian.pixels import render_pixels
+
+        return render_pixels(
+            self.run.view, self.pixels, spp=spp, batches=batches, seed=seed, pose=pose, purpose=_RENDER
+        )
+
+    def differentiate(self, pose: Array) -> None:
+        """Measure J anew where the image has moved since it last was."""
+        if self.motion(self.jacobian.pose, pose) > _REFRESH:
+            self._use(self.run.at(pose).jacobian())
+
+    def _use(self, jacobian: ImageJacobian) -> None:
+        # Tiles visit pixels in another order than rows do.
+        order = np.lexsort(jacobian.pixels.T)
+        self.jacobian = dataclasses.replace(
+            jacobian, batch_values=jacobian.batch_values[:, order], pixels=jacobian.pixels[order]
+        )
+        self.values = self.jacobian.values
+        self.weights = self.noise.weights(self.pixels, self.jacobian.mean)
+        if self.weights.shape != self.measured.shape:
+            raise NoiseError("an alignment needs noise that is independent between channels")
+        self.plain = np.einsum("ncp,nc,ncq->pq", self.values, self.weights, self.values, optimize=True)
+
+    def motion(self, a: Array, b: Array) -> float:
+        """How far the image moves between two poses, about [pixel]."""
+        twist = se3.log(se3.inverse(a) @ b)
+        moved = np.linalg.norm(twist[:3]) / self.run.length_scale + np.linalg.norm(twist[3:])
+        return float(moved) * self.run.view.focal_pixels
+
+    def gradient(self, image: Array) -> Array:
+        """JᵀW of an image or a difference of images (n, 3)."""
+        return np.asarray(np.einsum("ncp,nc->p", self.values, self.weights * image), dtype=np.float64)
+
+    def difference(self, pose: Array) -> Array:
+        """(K, n, 3), y − R̂."""
+        return np.asarray(self.measured - self.expected(pose), dtype=np.float64)
+
+    def excess(self, difference: Array, information: Array) -> float:
+        """tr(F⁻¹ [ĴᵀWĴ − F + Cov(ĴᵀW R̂)]) / 6."""
+        gradients = np.stack([self.gradient(batch) for batch in difference])
+        extra = self.plain - information + np.cov(gradients.T) / len(difference)
+        return float(np.trace(np.linalg.pinv(information, hermitian=True) @ extra)) / 6.0
+
+    def least_squares(self, pose: Array, damping: float, iterations: int) -> tuple[Array, Status, int]:
+        """Levenberg–Marquardt, or Gauss–Newton without damping."""
+        difference = self.difference(pose)
+        first = error = self.error(difference)
+        for iteration in range(1, iterations + 1):
+            step = self.step(difference.mean(axis=0), damping)
+            if step is None or self._lost(step):
+                return pose, "diverged", iteration
+            candidate = pose @ se3.exp(step)
+            attempt = self.difference(candidate)
+            new = self.error(attempt)
+            if self.anchored:
+                tolerance = _SMALL_STEP**2 * (1.0 + self.excess(attempt, self.plain))
+                small = float(step @ self.plain @ step) < tolerance
+            else:
+                small = self.motion(pose, candidate) < _SMALL_MOTION
+            expected_fall = 0.5 * float(step @ self.gradient(difference.mean(axis=0)))
+            if damping > 0.0 and not new < error and expected_fall > _VISIBLE_FALL * error:
+                damping *= 10.0
+                continue
+            damping *= 0.1
+            pose, difference, error = candidate, attempt, new
+            if not error < _LOST * first:
+                return pose, "diverged", iteration
+            if small:
+                return pose, "converged", iteration
+            self.differentiate(pose)
+            if not np.diagonal(self.plain).all():
+                return pose, "diverged", iteration
+        return pose, "out of iterations", iterations
+
+    def adam(self, pose: Array, rate: float, count: int, iterations: int) -> tuple[Array, Status, int]:
+        """Adam on the twist, from random batches of pixels."""
+        rng = np.random.default_rng(self.run.seed)
+        scale = np.array([self.run.length_scale] * 3 + [1.0] * 3)
+        first, second = np.zeros(6), np.zeros(6)
+        for iteration in range(1, iterations + 1):
+            chosen = np.sort(rng.permutation(len(self.pixels))[:count])
+            part = np.zeros_like(self.run.mask)
+            part[self.pixels[chosen, 1], self.pixels[chosen, 0]] = True
+            here = self.run.at(pose)
+            jacobian = dataclasses.replace(here, mask=part, seed=here.seed + iteration).jacobian()
+            weighted = (
+                self.noise.weights(self.pixels[chosen], jacobian.mean)
+                * self.difference(pose).mean(axis=0)[chosen]
+            )
+            # Tiles visit pixels in another order than rows do.
+            order = np.lexsort(jacobian.pixels.T)
+            slope = -scale * np.einsum("ncp,nc->p", jacobian.values[order], weighted)
+            first = _FIRST * first + (1.0 - _FIRST) * slope
+            second = _SECOND * second + (1.0 - _SECOND) * slope**2
+            mean, square = first / (1.0 - _FIRST**iteration), second / (1.0 - _SECOND**iteration)
+            falling = rate * 0.8 ** (iteration / 100.0)
+            pose = pose @ se3.exp(-falling * scale * mean / (np.sqrt(square) + np.finfo(float).tiny))
+        self.differentiate(pose)
+        step = self.step(self.difference(pose).mean(axis=0), 0.0)
+        near = step is not None and float(step @ self.plain @ step) < 1.0
+        return pose, "converged" if near else "out of iterations", iterations
+
+    def error(self, difference: Array) -> float:
+        """E, from products of different batches: the square of one batch's noise is no error of the pose."""
+        K = len(difference)
+        whole = np.sum(self.weights * difference.sum(axis=0) ** 2) - np.sum(self.weights * difference**2)
+        return float(0.5 * whole / (K * (K - 1)))
+
+    def residual(self, difference: Array) -> float:
+        """Root mean square of the whitened difference, without the renderer's noise."""
+        return float(np.sqrt(max(2.0 * self.error(difference), 0.0) / np.count_nonzero(self.weights)))
+
+    def step(self, difference: Array, damping: float) -> Array | None:
+        """(F + λ diag F)⁻¹ g, or None if F is singular."""
+        matrix = self.plain + damping * np.diag(np.diagonal(self.plain))
+        # In units in which the diagonal is one: radians and scene units are not comparable.
+        d = 1.0 / np.sqrt(np.maximum(np.diagonal(matrix), np.finfo(float).tiny))
+        try:
+            step = d * np.linalg.solve(d[:, None] * matrix * d, d * self.gradient(difference))
+        except np.linalg.LinAlgError:
+            return None
+        return step if np.isfinite(step).all() else None
+
+    def _lost(self, step: Array) -> bool:
+        moved = np.linalg.norm(step[:3]) / self.run.length_scale
+        return bool(moved > _FAR or np.linalg.norm(step[3:]) > _FAR)
+
+    def result(self, pose: Array, status: Status, iterations: int) -> Alignment:
+        """What is known at the end."""
+        self.differentiate(pose)
+        difference = self.difference(pose)
+        information = fisher_information(dataclasses.replace(self.jacobian, pose=pose), self.noise)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PrecisionWarning)
+            bound = cramer_rao_bound(information)
+        return Alignment(
+            pose=pose,
+            status=status,
+            residual=self.residual(difference),
+            iterations=iterations,
+            bound=bound,
+            excess=self.excess(difference, information.matrix),
+            masked=self.masked,
+        )
+
+
+def reduced(image: Array, factor: int) -> Array:
+    """The image that a film with pixels `factor` times as large measures, about; NaN where nothing is finite.
+
+    Mitsuba's Gaussian filter has a standard deviation of half a pixel, of the large pixels as of the small.
+    """
+    finite = np.isfinite(image).all(axis=2)
+    sigma = 0.5 * float(np.sqrt(factor**2 - 1.0))
+    height, width = (max(1, side // factor) for side in image.shape[:2])
+    rows = (np.arange(height) + 0.5) * image.shape[0] / height - 0.5
+    columns = (np.arange(width) + 0.5) * image.shape[1] / width - 0.5
+    at = np.stack(np.meshgrid(rows, columns, indexing="ij"))
+
+    def sampled(channel: Any) -> Array:
+        smooth = ndimage.gaussian_filter(channel, sigma, mode="nearest")
+        return np.asarray(ndimage.map_coordinates(smooth, at, order=1, mode="nearest"))
+
+    weight = sampled(finite.astype(np.float64))
+    channels = [sampled(np.where(finite, channel, 0.0)) for channel in np.moveaxis(image, 2, 0)]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        small = np.stack(channels, axis=2) / weight[..., None]
+    return np.where(weight[..., None] > 0.5, small, np.nan)
+
+
+def _checked_image(image: ArrayLike) -> Array:
+    values = np.asarray(image, dtype=np.float64)
+    if values.ndim != 3 or values.shape[2] != 3:
+        raise AlignmentError(f"the measured image must have shape (H, W, 3), linear RGB, not {values.shape}")
+    if not np.isfinite(values).all(axis=2).any():
+        raise AlignmentError("no pixel of the measured image is finite")
+    return values
+
+
+def _size(image: NDArray[Any], size: tuple[int, int] | None) -> tuple[int, int]:
+    height, width = image.shape[:2]
+    if size is not None and tuple(size) != (width, height):
+        raise AlignmentError(f"the measured image is {width}x{height}, and size says {size[0]}x{size[1]}")
+    return width, height
+
+
+def _check_arguments(estimator: str, iterations: int, levels: int) -> None:
+    if estimator not in ESTIMATORS:
+        raise AlignmentError(f"unknown estimator {estimator!r}; estimators: {', '.join(ESTIMATORS)}")
+    if iterations < 1:
+        raise AlignmentError(f"iterations must be at least 1; got {iterations}")
+    if levels < 0:
+        raise AlignmentError(f"levels must not be negative; got {levels}")

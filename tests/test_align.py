@@ -1,0 +1,166 @@
+"""Estimated poses: they come back to the truth, from further away with levels, and say when they do not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from small_scenes import camera, scene, texture, textured_wall, wall
+
+from mitsuba_crb import se3
+from mitsuba_crb.align import Alignment, Anchor, align, reduced
+from mitsuba_crb.errors import AlignmentError
+from mitsuba_crb.jacobian.pixels import render_pixels
+from mitsuba_crb.noise import Gaussian
+from mitsuba_crb.scene import as_scene, open_view
+
+SIGMA = Gaussian(0.01)
+SIZE = (32, 24)
+
+
+@pytest.fixture(scope="module")
+def textured() -> Any:
+    return as_scene(textured_wall())[0]
+
+
+@pytest.fixture(scope="module")
+def truth(textured: Any) -> Anchor:
+    """The expected image at the scene's own pose."""
+    with open_view(textured) as view:
+        pixels = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), axis=-1).reshape(-1, 2)
+        image = render_pixels(view, pixels, spp=2048, seed=77)
+        return Anchor(view.pose, image.reshape(1, SIZE[1], SIZE[0], 3))
+
+
+def _measured(truth: Anchor, seed: int = 0) -> Any:
+    noise = np.random.default_rng(seed).standard_normal(truth.batches.shape[1:])
+    return truth.batches[0] + SIGMA.sigma * noise
+
+
+def _start(truth: Anchor, position: float, degrees: float, seed: int = 0) -> Any:
+    direction = np.random.default_rng(seed).standard_normal((2, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return truth.pose @ se3.exp(np.concatenate([position * direction[0], np.radians(degrees) * direction[1]]))
+
+
+def _nees(found: Alignment, truth: Anchor) -> float:
+    error = se3.log(se3.inverse(truth.pose) @ found.pose)
+    return float(error @ found.bound.information.matrix @ error)
+
+
+@pytest.mark.parametrize("estimator", ["gauss_newton", "levenberg_marquardt"])
+def test_the_truth_is_found_to_within_the_bound(textured: Any, truth: Anchor, estimator: str) -> None:
+    start = _start(truth, 0.05, 1.0)
+    found = align(textured, _measured(truth), SIGMA, estimator=estimator, anchor=truth, spp=64, pose=start)
+    assert found.status == "converged"
+    assert abs(found.residual - 1.0) < 0.1  # 2304 values: its standard deviation is 0.015
+    # The 99.99 % quantile of χ² with 6 degrees of freedom, widened by the renderer's own noise.
+    assert _nees(found, truth) < 28.0 * (1.0 + found.excess)
+    assert _nees(found, Anchor(start, truth.batches)) > 1000.0  # it did move
+
+
+def test_without_an_anchor_the_excess_says_what_the_renderers_noise_costs(
+    textured: Any, truth: Anchor
+) -> None:
+    found = align(textured, _measured(truth), SIGMA, spp=64, pose=_start(truth, 0.02, 0.3))
+    tied = align(textured, _measured(truth), SIGMA, spp=64, pose=_start(truth, 0.02, 0.3), anchor=truth)
+    assert found.excess > tied.excess > 0.0
+    assert _nees(found, truth) < 28.0 * (1.0 + found.excess)
+
+
+def test_levels_reach_further(textured: Any, truth: Anchor) -> None:
+    reached = {0: 0, 1: 0}
+    for levels in reached:
+        for seed in range(6):
+            start = _start(truth, 0.4, 12.0, seed)
+            found = align(
+                textured,
+                _measured(truth),
+                SIGMA,
+                anchor=truth,
+                spp=16,
+                pose=start,
+                levels=levels,
+                iterations=15,
+            )
+            right = _nees(found, truth) < 28.0 * (1.0 + found.excess)
+            reached[levels] += right
+            # What went elsewhere does not claim to fit.
+            assert right or found.status != "converged" or found.residual > 1.2
+    assert reached[1] > reached[0]
+
+
+def test_inerfs_recipe_comes_close(textured: Any, truth: Anchor) -> None:
+    """In what the image shows: along the valley of the weakest direction a first-order method creeps."""
+    options: dict[str, Any] = {"anchor": truth, "spp": 16, "pose": _start(truth, 0.05, 1.0)}
+    options |= {"estimator": "adam", "learning_rate": 0.01, "batch_pixels": 256}
+    found = align(textured, _measured(truth), SIGMA, iterations=60, **options)
+    hardly = align(textured, _measured(truth), SIGMA, iterations=1, **options)
+    assert found.residual < 1.05
+    assert hardly.residual > 1.5
+
+
+def test_pixels_that_are_not_finite_are_counted_and_left_out(textured: Any, truth: Anchor) -> None:
+    image = _measured(truth)
+    image[:3, :5] = np.nan
+    image[10, 10, 1] = np.inf
+    found = align(textured, image, SIGMA, anchor=truth, spp=64, pose=_start(truth, 0.02, 0.3))
+    assert found.masked == 16
+    assert found.status == "converged"
+    assert _nees(found, truth) < 28.0 * (1.0 + found.excess)
+
+
+def test_the_estimate_is_not_biased_by_the_renderers_noise(textured: Any, truth: Anchor) -> None:
+    """Thirty estimates from few paths: their mean is the truth's, in units of its own standard deviation."""
+    errors, excess = [], []
+    for seed in range(30):
+        found = align(textured, _measured(truth, seed), SIGMA, anchor=truth, spp=16, seed=seed, iterations=10)
+        assert found.status == "converged"
+        errors.append(se3.log(se3.inverse(truth.pose) @ found.pose))
+        excess.append(found.excess)
+    root = np.linalg.cholesky(found.bound.information.matrix).T
+    mean = root @ np.mean(errors, axis=0) * np.sqrt(len(errors) / (1.0 + np.mean(excess)))
+    assert mean @ mean < 22.5  # 99.9 % quantile of χ² with 6 degrees of freedom
+    whitened = np.array(errors) @ root.T
+    nees = np.mean(np.sum(whitened**2, axis=1)) / (1.0 + np.mean(excess))
+    assert 4.0 < nees < 8.4  # 99.9 % of χ²_180 / 30
+
+
+def test_a_reduced_image_is_what_a_smaller_film_measures() -> None:
+    large, small = (
+        scene(wall=wall(texture(cells=64))),
+        scene(wall=wall(texture(cells=64)), sensor=camera(16, 12)),
+    )
+    images = []
+    for which in (large, small):
+        with open_view(which) as view:
+            width, height = view.size
+            pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2)
+            images.append(render_pixels(view, pixels, spp=512, seed=1).reshape(height, width, 3))
+    inner = np.s_[1:-1, 1:-1]  # the small film's filter reaches beyond the large film's border
+    reduction = reduced(images[0], 2)[inner] - images[1][inner]
+    subsampling = images[0][::2, ::2][inner] - images[1][inner]
+    assert np.std(reduction) < 0.3 * np.std(subsampling)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"image": np.zeros((24, 32))}, r"\(H, W, 3\)"),
+        ({"image": np.full((24, 32, 3), np.nan)}, "no pixel"),
+        ({"size": (16, 12)}, "32x24"),
+        ({"estimator": "newton"}, "gauss_newton"),
+        ({"iterations": 0}, "iterations"),
+        ({"levels": -1}, "levels"),
+        ({"pose": se3.exp([0, 0, 0, 0, 3.1, 0])}, "out of view"),
+        ({"anchor": Anchor(np.eye(4), np.zeros((1, 12, 16, 3)))}, "anchor"),
+    ],
+)
+def test_what_cannot_be_aligned_is_refused_by_name(change: dict[str, Any], message: str) -> None:
+    dark = textured_wall()
+    dark.pop("light")
+    dark["lamp"] = {"type": "point", "position": [0, 0, 0], "intensity": {"type": "rgb", "value": 20.0}}
+    options: dict[str, Any] = {"image": np.ones((24, 32, 3)), "spp": 8, "iterations": 2} | change
+    with pytest.raises(AlignmentError, match=message):
+        align(dark, options.pop("image"), SIGMA, **options)
