@@ -36,7 +36,7 @@ from .bound import PoseBound, cramer_rao_bound
 from .errors import AlignmentError, NoiseError, PrecisionWarning
 from .information import ImageJacobian, PixelSelection, fisher_information
 from .measure import Measurement, MeasurementOptions, measurement
-from .noise import NoiseModel
+from .noise import CoupledNoise, IndependentNoise, NoiseModel
 from .scene import as_scene
 from .se3 import Array
 
@@ -184,10 +184,12 @@ class _Search:
             mask = run.mask & finite
             selection = PixelSelection("only", mask.size, int(mask.sum()), "where the image is finite")
             run = dataclasses.replace(run, mask=mask, selection=selection)
+        if isinstance(noise, CoupledNoise):
+            raise NoiseError("an alignment needs noise that is independent between pixels")
         noise.check(run.mask.shape[0], run.mask.shape[1], 3)
         rows, columns = np.nonzero(run.mask)
         self.run = run
-        self.noise = noise
+        self.noise: IndependentNoise = noise
         self.pixels = np.stack([columns, rows], axis=1).astype(np.int64)
         self.measured = image[rows, columns]
         self.anchored = False

@@ -49,6 +49,13 @@ Method = Annotated[str, typer.Option(metavar="M", help="How the Jacobian is meas
 Spp = Annotated[int, typer.Option(metavar="N", help="Paths per pixel over all batches.")]
 Seed = Annotated[int, typer.Option(metavar="N", help="Of all random numbers; same seed, same bits.")]
 Batches = Annotated[int, typer.Option(metavar="N", help="Independent estimates, at least 4.")]
+Sigma = Annotated[
+    float | None,
+    typer.Option(
+        metavar="X",
+        help="Standard deviation of the pixel noise (radiance); default: 0.01 of the image's white.",
+    ),
+]
 Size = Annotated[str | None, typer.Option(metavar="WxH", help="Image size in place of the film's (pixels).")]
 Define = Annotated[
     list[str] | None,
@@ -179,13 +186,7 @@ def bound(
     batches: Batches = 4,
     size: Size = None,
     define: Define = None,
-    sigma: Annotated[
-        float | None,
-        typer.Option(
-            metavar="X",
-            help="Standard deviation of the pixel noise (radiance); default: 0.01 of the image's white.",
-        ),
-    ] = None,
+    sigma: Sigma = None,
     noise_file: Annotated[
         Path | None,
         typer.Option(
@@ -463,6 +464,86 @@ def select(
                 write_selection_plots(plot_folder, result)
         finally:
             print_selection(_console(), team, result)
+
+
+@app.command()
+def validate(
+    scene: Scene,
+    sensor: Sensor = "0",
+    pose: Pose = None,
+    trials: Annotated[int, typer.Option(metavar="N", help="How many.")] = 100,
+    perturb_deg: Annotated[
+        float, typer.Option(metavar="D", help="Starts are turned by up to this angle (degrees).")
+    ] = 0.5,
+    perturb_trans: Annotated[
+        float, typer.Option(metavar="T", help="Starts are moved by up to this distance (scene units).")
+    ] = 0.01,
+    sigma: Sigma = None,
+    estimator: Annotated[
+        Literal["gauss_newton", "levenberg_marquardt", "adam"], typer.Option(help="What is put to the test.")
+    ] = "gauss_newton",
+    levels: Annotated[
+        int, typer.Option(metavar="L", help="Halvings of the image that a search begins with.")
+    ] = 0,
+    spp: Spp = 256,
+    seed: Seed = 0,
+    batches: Batches = 4,
+    size: Size = None,
+    define: Define = None,
+    workers: Workers = None,
+    json_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--json", metavar="FILE", help="Write all trials as JSON, as they end; resumes what is there."
+        ),
+    ] = None,
+    plot_file: Annotated[
+        Path | None,
+        typer.Option("--plot", metavar="FILE", help="Write coverage, NEES and eigenvalues as PNG."),
+    ] = None,
+    debug: Debug = False,
+) -> int:
+    """Put the bound to the test: noisy images, perturbed starts, alignments.
+
+    Exit code 0 if the errors are as the bound says, 1 if they are not.
+    """
+    with foreseen(debug):
+        from .arguments import parse_defines, pose_file
+
+        options = _view_options(sensor, pose, size, spp, seed, batches)
+        defines = parse_defines(define)
+        inputs = [scene, *filter(None, [pose_file(pose)])]
+        _check_targets({"--json": json_file, "--plot": plot_file}, inputs)
+
+        from .export import write_json
+        from .report import print_validation, progress
+        from .trials import validate as run_trials
+
+        with _collected() as texts, progress() as advance:
+            result = run_trials(
+                scene,
+                trials=trials,
+                perturb_deg=perturb_deg,
+                perturb_trans=perturb_trans,
+                sigma=sigma,
+                estimator=estimator,
+                levels=levels,
+                workers=workers,
+                resume=json_file,
+                on_trial=advance,
+                defines=defines,
+                **options,
+            )
+        try:
+            if json_file is not None:
+                write_json(json_file, result.to_dict())
+            if plot_file is not None:
+                from .trials_page import write_validation_plot
+
+                write_validation_plot(plot_file, result)
+        finally:
+            print_validation(_console(), result, texts)
+        return 0 if result.consistency.consistent else 1
 
 
 @app.command()

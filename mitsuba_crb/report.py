@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from .hcr import HCRBound
     from .team import Team
     from .team_measure import TeamFusion, TeamSelection
+    from .trials import Validation
     from .validation import JacobianCheck
 
 _POSITION = ("position x, world", "position y, world", "position z, world")
@@ -315,6 +316,60 @@ def print_selection(console: Console, team: Team, result: TeamSelection) -> None
 
 def _number(value: float) -> str:
     return f"{value:.5g}" if math.isfinite(value) else str(value).replace("inf", "∞")
+
+
+def print_validation(console: Console, result: Validation, warnings: Iterable[str] = ()) -> None:
+    """Errors beside the bound, their covariance and coverage with their bands, and the verdict."""
+    found, settings = result.consistency, result.settings
+    width, height = settings["size"]
+    _line(console, Text(Path(settings["scene"]).name, style="bold"), f"  {width}×{height} pixels")
+    table = _table()
+    for head in ("", "errors", "bound", "unit"):
+        table.add_column(head, justify="left" if head in ("", "unit") else "right")
+    position, angle = result.bound_position, result.bound_rotation_deg
+    table.add_row("position, RMS", f"{result.rmse_position:.4g}", f"{position:.4g}", "scene unit")
+    table.add_row("rotation, RMS", f"{result.rmse_rotation_deg:.4g}", f"{angle:.4g}", "deg")
+    console.print(table)
+    table = _table()
+    for head in ("", "found", "expected", "band", ""):
+        table.add_column(head, justify="right" if head in ("found", "expected") else "left")
+    table.add_row("NEES, mean", *_in_band(found.nees, 6.0, *found.nees_band))
+    table.add_section()
+    for k, (value, band) in enumerate(
+        zip(found.generalized_eigenvalues, found.wishart_band, strict=True), start=1
+    ):
+        table.add_row(f"variance ratio {k}", *_in_band(float(value), 1.0, *band))
+    table.add_section()
+    for c in found.coverage:
+        table.add_row(
+            f"coverage at {c.nominal:.0%}", *_in_band(c.empirical, c.nominal, c.low, c.high, c.nominal)
+        )
+    console.print(table)
+    _facts(
+        console,
+        [
+            ("trials", f"{len(result.trials)}, of which {len(result.failed)} failed"),
+            ("noise", f"Gaussian, σ = {settings['sigma']:.4g}"),
+            ("starts", f"within {settings['perturb_deg']:g} deg, {settings['perturb_trans']:g} scene units"),
+            ("estimator", f"{settings['estimator']}, {settings['spp']} paths per pixel"),
+            ("efficiency", f"{result.efficiency:.1%}"),
+            ("renderer's noise", f"adds {result.excess:.1%} to the errors' covariance"),
+        ],
+    )
+    if found.consistent:
+        _line(console, Text("the errors are as the bound says", style="green"))
+    else:
+        _line(console, Text("the errors are not as the bound says", style="bold yellow"))
+    _notes(console, warnings)
+
+
+def _in_band(
+    value: float, expected: float, low: float, high: float, inside: float | None = None
+) -> tuple[str, str, str, Text]:
+    """A value, what is expected, and whether it (or what should be inside) lies in a band."""
+    good = low <= (value if inside is None else inside) <= high
+    mark = Text("inside", style="green") if good else Text("outside", style="bold red")
+    return f"{value:.3f}", f"{expected:g}", f"{low:.3f} to {high:.3f}", mark
 
 
 def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:

@@ -1,33 +1,26 @@
 """Measures a team's agents in parallel processes, and fuses them or chooses their tiles.
 
-Processes are spawned, one per agent at a time: a Mitsuba session cannot be forked. Every agent's random
-numbers follow from its name, so that the results do not depend on the number of processes. As with all
-spawned processes, a script that calls this must guard its own start by `if __name__ == "__main__":`.
+Every agent's random numbers follow from its name, so that the results do not depend on the number of
+processes (`processes`).
 """
 
 from __future__ import annotations
 
-import os
-import signal
-import threading
 import warnings
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from multiprocessing import get_context
 from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .bound import PoseBound
-from .errors import MitsubaCRBError, OptionError, WorkerError
+from .errors import MitsubaCRBError
 from .fusion import Agent, Fusion, fuse
 from .measure import TileJacobian, pose_bound
 from .measure_tiles import tile_information
+from .processes import each
 from .scene import load_scene
 from .selection import TileSelection, select_tiles
 from .team import Member, Team
@@ -156,53 +149,17 @@ def _per_agent(
 
 def _each(measure: Callable[[Job], T], team: Team, workers: int | None, on_agent: Progress | None) -> list[T]:
     """What is measured of every member, in the team's order."""
-    if workers is not None and workers < 1:
-        raise OptionError(f"there must be at least one worker process, not {workers}")
-    jobs = [Job(member, team.options(member), team.tiles) for member in team.members]
-    count = min(len(jobs), workers or os.cpu_count() or 1)
-    report = on_agent or (lambda done, total: None)
-    results: list[T] = []
-    if count == 1:
-        for job in jobs:
-            results.append(_named(measure, job))
-            report(len(results), len(jobs))
-        return results
-    with ProcessPoolExecutor(count, get_context("spawn"), initializer=_die_quietly) as pool:
-        with _interrupts_ignored():
-            futures = [pool.submit(_named, measure, job) for job in jobs]
-        try:
-            for done, future in enumerate(as_completed(futures), 1):
-                future.result()
-                report(done, len(jobs))
-        except BrokenProcessPool as error:
-            raise WorkerError(
-                "a process that measures an agent ended before it had answered; with too little memory, use "
-                "fewer --workers or a smaller size"
-            ) from error
-        finally:
-            pool.shutdown(cancel_futures=True)
-    return [future.result() for future in futures]
+    jobs = [(measure, Job(member, team.options(member), team.tiles)) for member in team.members]
+    results: dict[int, T] = {}
+    for index, result in each(_named, jobs, workers):
+        results[index] = result
+        if on_agent is not None:
+            on_agent(len(results), len(jobs))
+    return [results[index] for index in range(len(jobs))]
 
 
-@contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """Processes that start here are deaf to Ctrl-C while they import; only a main thread may arrange that."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def _die_quietly() -> None:
-    # Ctrl-C reaches all processes of a terminal: the parent says so, once.
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
-def _named(measure: Callable[[Job], T], job: Job) -> T:
+def _named(work: tuple[Callable[[Job], T], Job]) -> T:
+    measure, job = work
     try:
         return measure(job)
     except MitsubaCRBError as error:

@@ -1,0 +1,73 @@
+"""Work in parallel processes, spawned, because a Mitsuba session cannot be forked.
+
+As with all spawned processes, a script that calls what uses this must guard its own start by
+`if __name__ == "__main__":`.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import get_context
+from typing import Any, TypeVar
+
+from .errors import OptionError, WorkerError
+
+T = TypeVar("T")
+
+
+def each(work: Callable[[Any], T], jobs: Sequence[Any], workers: int | None) -> Iterator[tuple[int, T]]:
+    """The index and the result of every job, as they end.
+
+    Args:
+        work: a function of a module; it and the jobs are pickled.
+        jobs: its arguments.
+        workers: processes; None: one per job, but no more than there are cores. 1 spawns none.
+
+    Raises:
+        OptionError: fewer than one worker.
+        WorkerError: a process died.
+        MitsubaCRBError: whatever the work raises.
+    """
+    if workers is not None and workers < 1:
+        raise OptionError(f"there must be at least one worker process, not {workers}")
+    count = min(len(jobs), workers or os.cpu_count() or 1)
+    if count <= 1:
+        yield from ((index, work(job)) for index, job in enumerate(jobs))
+        return
+    with ProcessPoolExecutor(count, get_context("spawn"), initializer=_die_quietly) as pool:
+        with _interrupts_ignored():
+            futures = {pool.submit(work, job): index for index, job in enumerate(jobs)}
+        try:
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        except BrokenProcessPool as error:
+            raise WorkerError(
+                "a worker process ended before it had answered; with too little memory, use fewer --workers "
+                "or a smaller size"
+            ) from error
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Processes that start here are deaf to Ctrl-C while they import; only a main thread may arrange that."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _die_quietly() -> None:
+    # Ctrl-C reaches all processes of a terminal: the parent says so, once.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)

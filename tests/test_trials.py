@@ -1,0 +1,102 @@
+"""Trials on a small wall: the estimator attains the bound, twice the noise does not, and runs resume."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_scenes import textured_wall
+
+from mitsuba_crb.errors import OptionError, TrialError
+from mitsuba_crb.trials import SCHEMA, validate
+
+OPTIONS: dict[str, Any] = {"size": (16, 12), "spp": 32, "sigma": 0.005, "perturb_deg": 0.2, "seed": 5}
+
+
+def test_gauss_newton_attains_the_bound_and_another_sigma_is_found_out(tmp_path: Path) -> None:
+    options = OPTIONS | {"trials": 40, "confidence": 0.999, "resume": tmp_path / "trials.json"}
+    found = validate(textured_wall(), **options)
+    assert found.failed == ()
+    assert found.consistency.consistent
+    assert found.excess < 0.1
+    assert found.rmse_rotation_deg == pytest.approx(found.bound_rotation_deg, rel=0.35)
+    # Negative control: the same errors beside the bound of half the noise.
+    other = validate(textured_wall(), assumed_sigma=0.0025, **options)
+    assert [t.error for t in other.trials] == [t.error for t in found.trials]
+    assert not other.consistency.consistent
+    assert other.consistency.nees == pytest.approx(4.0 * found.consistency.nees)
+    document = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    assert document["schema"] == SCHEMA
+    assert {"nees_band", "generalized_eigenvalues", "wishart_band", "coverage"} <= document.keys()
+
+
+def test_an_interrupted_run_resumes_to_the_same_result(tmp_path: Path) -> None:
+    file = tmp_path / "trials.json"
+    whole = validate(textured_wall(), trials=8, **OPTIONS)
+
+    def interrupt(done: int, total: int) -> None:
+        if done >= 4:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        validate(textured_wall(), trials=8, resume=file, on_trial=interrupt, **OPTIONS)
+    calls: list[int] = []
+    resumed = validate(
+        textured_wall(), trials=8, resume=file, on_trial=lambda done, total: calls.append(done), **OPTIONS
+    )
+    assert calls == [8]
+    assert [t.error for t in resumed.trials] == [t.error for t in whole.trials]
+    before = file.read_bytes()
+    with pytest.raises(TrialError, match=r"sigma = 0\.005, not 0\.02"):
+        validate(textured_wall(), trials=8, resume=file, **(OPTIONS | {"sigma": 0.02}))
+    assert file.read_bytes() == before
+
+
+@pytest.mark.slow
+def test_the_number_of_processes_changes_nothing(scenes: Path) -> None:
+    path = scenes / "textured_wall" / "textured_wall.xml"
+    one, three = (validate(path, trials=9, workers=n, **OPTIONS) for n in (1, 3))
+    np.testing.assert_array_equal([t.error for t in one.trials], [t.error for t in three.trials])
+
+
+@pytest.mark.slow
+def test_the_textured_room_is_consistent_over_a_hundred_trials(scenes: Path) -> None:
+    path = scenes / "textured_room" / "textured_room.xml"
+    options: dict[str, Any] = {"size": (32, 24), "spp": 128, "sigma": 0.01, "perturb_deg": 0.2}
+    found = validate(path, trials=100, confidence=0.999, **options)
+    assert len(found.failed) <= 2
+    assert found.consistency.consistent
+
+
+def test_far_starts_fail_and_are_counted_apart() -> None:
+    options = OPTIONS | {"perturb_deg": 20.0, "perturb_trans": 0.1, "iterations": 8}
+    found = validate(textured_wall(), trials=24, **options)
+    assert found.failed
+    assert found.consistency.count == 24 - len(found.failed)
+    # Those that are left are right: no one of them is at a wrong minimum.
+    assert found.consistency.nees < 6.0 * 3.0
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"trials": 0}, TrialError, "at least 7"),
+        ({"trials": 8, "perturb_deg": -1.0}, TrialError, "negative"),
+        ({"trials": 8, "workers": 0}, OptionError, "worker"),
+    ],
+)
+def test_impossible_trials_are_refused(change: Any, error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        validate(textured_wall(), **(OPTIONS | change))
+
+
+@pytest.mark.parametrize("text", ["not json", '{"schema": "other/1", "settings": {}, "results": []}', "[]"])
+def test_a_file_that_is_no_record_of_trials_is_left_alone(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "something.json"
+    file.write_text(text)
+    with pytest.raises(TrialError, match="name another file"):
+        validate(textured_wall(), trials=8, resume=file, **OPTIONS)
+    assert file.read_text() == text
