@@ -14,7 +14,7 @@ import OpenEXR
 import pytest
 import synthetic_view
 
-from mitsuba_crb import cli, measure, scene, se3, validation
+from mitsuba_crb import cli, measure, scene, se3, trials, validation
 from mitsuba_crb.arguments import parse_defines, parse_pose, parse_size
 from mitsuba_crb.errors import OptionError, PoseError, PrecisionWarning, SceneError
 
@@ -175,7 +175,10 @@ def test_a_nuisance_that_does_not_exist_is_refused_with_near_ones(capsys):
     assert "near ones: principal_point" in message
 
 
-@pytest.mark.parametrize(("command", "other"), [(cli.bound, {}), (cli.check, validation.DEFAULT_OPTIONS)])
+@pytest.mark.parametrize(
+    ("command", "other"),
+    [(cli.bound, {}), (cli.check, validation.DEFAULT_OPTIONS), (cli.validate, {"spp": trials.DEFAULT_SPP})],
+)
 def test_defaults_are_the_librarys(command, other):
     ours = {name: option.default for name, option in inspect.signature(command).parameters.items()}
     theirs = inspect.signature(measure.measurement).parameters
@@ -508,3 +511,25 @@ def test_pictures_of_pixels_need_noise_that_does_not_couple_them(rendered, capsy
     assert "couples pixels" in refused(
         capsys, "bound", "room.xml", "--noise", str(file), "--plot", str(tmp_path / "out.png")
     )
+
+
+def test_validate_prints_and_writes_what_it_found(tmp_path, scenes, capsys):
+    wall = str(scenes / "textured_wall" / "textured_wall.xml")
+    options = ["--size", "16x12", "--spp", "16", "--trials", "8", "--workers", "1", "--perturb-deg", "0.1"]
+    files = {name: tmp_path / f"trials.{name}" for name in ("json", "png")}
+    outputs = ["--json", str(files["json"]), "--plot", str(files["png"])]
+    code = cli.run(["validate", wall, *options, *outputs])
+    table = capsys.readouterr().out
+    assert code in (0, 1)
+    assert "variance ratio 6" in table
+    assert "coverage at 95%" in table
+    document = json.loads(files["json"].read_text())
+    assert document["schema"] == "mitsuba-crb/validate/1"
+    assert document["trials"] == 8
+    assert (code == 0) == document["consistent"]
+    assert files["png"].read_bytes().startswith(b"\x89PNG")
+    # Other settings are refused, and the file is left as it was.
+    before = files["json"].read_bytes()
+    assert cli.run(["validate", wall, *options, *outputs, "--seed", "1"]) == 2
+    assert "seed" in capsys.readouterr().err
+    assert files["json"].read_bytes() == before
