@@ -531,5 +531,5 @@ def test_validate_prints_and_writes_what_it_found(tmp_path, scenes, capsys):
     # Other settings are refused, and the file is left as it was.
     before = files["json"].read_bytes()
     assert cli.run(["validate", wall, *options, *outputs, "--seed", "1"]) == 2
-    assert "seed" in capsys.readouterr().err
+    assert "name another file" in capsys.readouterr().err
     assert files["json"].read_bytes() == before
