@@ -275,7 +275,7 @@ ROWS: dict[str, Row] = {
         for name in ("boxes",)
     },
     **{
-        f"real_{name}": Row(partial(relit, name), spp=256, tolerance=0.03, error=0.015, size=(96, 72))
+        f"real_{name}": Row(partial(relit, name), spp=1024, tolerance=0.03, error=0.015, size=(96, 72))
         for name in REAL
     },
 }
