@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from .scene import load_scene as load_scene
     from .selection import select_tiles as select_tiles
     from .tiles import Budget as Budget
+    from .trials import validate as validate
     from .validation import check_jacobian as check_jacobian
 
 __version__ = "0.1.0"
@@ -60,6 +61,7 @@ _HOME = {
     "load_scene": "scene",
     "select_tiles": "selection",
     "Budget": "tiles",
+    "validate": "trials",
     "check_jacobian": "validation",
 }
 _MODULES = ("errors", "message", "noise", "se3")

@@ -361,6 +361,7 @@ def information(values: np.ndarray) -> np.ndarray:
     return np.asarray(diagonal / (len(values) * (len(values) - 1)))
 
 
+@pytest.mark.slow
 def test_jacobian_of_silhouettes_agrees_with_finite_differences() -> None:
     objects = {
         "box": box(T().translate([0.9, 0.5, 0]) @ TILT),

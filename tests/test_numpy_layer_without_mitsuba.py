@@ -19,7 +19,7 @@ sys.meta_path.insert(0, Blocker())
 BOUND = """
 import numpy as np
 import mitsuba_crb
-from mitsuba_crb import bound, bundle, coupled, errors, identifiability, information, inverse
+from mitsuba_crb import bound, bundle, consistency, coupled, errors, identifiability, information, inverse
 from mitsuba_crb import coordinates, hcr, joint, pixel_information, prior, regularised
 from mitsuba_crb import noise, se3, symmetric, ustatistic
 from mitsuba_crb import covariance_intersection, entry_noise, fusion, information_filter, joint_state, message

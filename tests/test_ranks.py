@@ -51,7 +51,7 @@ def test_what_a_white_wall_and_the_sky_hide_is_said_in_words(scenes: Path) -> No
     said = " | ".join(direction.description for direction in wall.unobserved)
     for words in ("translation along world axis x", "pitch", "yaw", "rotation about the optical axis (roll)"):
         assert words in said
-    sky = pose_bound(scenes / "sky" / "sky.xml", spp=8, size=(32, 24))
+    sky = pose_bound(scenes / "sky" / "sky.xml", spp=16, size=(32, 24))
     assert all("translation in any direction" in direction.description for direction in sky.unobserved)
     assert sky.length_scale == 1.0
     assert "length scale  1 [scene unit]" in str(sky)

@@ -57,8 +57,8 @@ def test_methods_that_do_not_exist_are_named() -> None:
     ("name", "words", "seen_at_most"),
     [
         ("checkerboard_wall", "checkerboard", 0.001),
-        ("boxes", "silhouettes", 0.35),
-        ("shadows", "shadows", 0.05),
+        pytest.param("boxes", "silhouettes", 0.35, marks=pytest.mark.slow),
+        pytest.param("shadows", "shadows", 0.05, marks=pytest.mark.slow),
     ],
 )
 def test_what_forward_misses_on_shipped_scenes(
