@@ -6,9 +6,9 @@
     python benchmarks/jacobian.py --sizes 64 512       # sides of the images of "sides"
 
 sides: one `mi.render` with the film's gaussian filter and one with a box film, the paths alone
-(`render_pixels`, the floor of any method), `pose_jacobian` and `pose_bound` by flow; medians of five
-alternating warm rounds and their ratios to both renders, of elapsed time and of CPU time (which other
-processes disturb less). precision: seconds until the standard error is 1 % of the trace and of the smallest
+(`render_pixels`, the floor of any method), `pose_jacobian` and `pose_bound` by flow, and on small images
+by the other methods; medians of five alternating warm rounds and their ratios to both renders, of elapsed
+time and of CPU time (which other processes disturb less). precision: seconds until the standard error is 1 % of the trace and of the smallest
 observed eigenvalue of F (camera frame, translation in length scales), from one measured run and se ∝ 1/√spp,
 for flow, forward and finite_difference; what each does not see is not charged to it. pixels, subset: cost
 against the number of pixels, and its log-log slope. cold: one process, imports and compilation included.
@@ -121,6 +121,9 @@ def sides(sizes: list[int], spp: int) -> list[dict[str, Any]]:
             }
             if size <= 512:  # the whole Jacobian of a larger image is gigabytes
                 calls["pose_jacobian"] = lambda scene=scene: pose_jacobian(scene, spp=spp)
+            if size <= 64:  # they take tens of renders
+                for method in ("forward", "finite_difference"):
+                    calls[f"pose_bound, {method}"] = partial(pose_bound, scene, spp=spp, method=method)
             for call in calls.values():
                 call()
             rounds = [{side: timed(call) for side, call in calls.items()} for _ in range(ROUNDS)]
@@ -220,6 +223,16 @@ def precision(size: int, spp: int) -> list[dict[str, Any]]:
                 f"{row['smallest_seconds_to_1_percent'] / flow['smallest_seconds_to_1_percent']:.1f}",
             )
         console.print(table)
+        large, runs = opened(name, 2 * size), []
+        once = partial(_bound_into, runs, large, spp, "flow")
+        seconds = statistics.median(timed(once)[0] for _ in range(4))
+        trace, _ = relative_errors(runs[-1].information)
+        to_go = seconds * (trace / 0.01) ** 2
+        rows.append({"scene": name, "size": 2 * size, "method": "flow", "seconds_to_1_percent": to_go})
+        console.print(
+            f"bound on {name} {2 * size}x{2 * size}, warm: {seconds:.2f} s for {trace:.3%} of the trace, "
+            f"{to_go:.2f} s to 1 %"
+        )
     return rows
 
 
