@@ -8,10 +8,11 @@
 sides: one `mi.render` with the film's gaussian filter and one with a box film, the paths alone
 (`render_pixels`, the floor of any method), `pose_jacobian` and `pose_bound` by flow, and on small images
 by the other methods; medians of five alternating warm rounds and their ratios to both renders, of elapsed
-time and of CPU time (which other processes disturb less). precision: seconds until the standard error is 1 % of the trace and of the smallest
-observed eigenvalue of F (camera frame, translation in length scales), from one measured run and se ∝ 1/√spp,
-for flow, forward and finite_difference; what each does not see is not charged to it. pixels, subset: cost
-against the number of pixels, and its log-log slope. cold: one process, imports and compilation included.
+time and of CPU time (which other processes disturb less). precision: seconds until the standard error is 1 %
+of the trace and of the smallest observed eigenvalue of F (camera frame, translation in length scales), from
+one measured run and se ∝ 1/√spp, for flow, forward and finite_difference; what each does not see is not
+charged to it. pixels, subset: cost against the number of pixels, and its log-log slope. cold: one process,
+imports and compilation included.
 All numbers also go to benchmarks/jacobian.json.
 """
 

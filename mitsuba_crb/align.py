@@ -48,6 +48,8 @@ ANCHOR_SPP = 16
 
 _SMALL_STEP = 0.1
 """A step below this many standard deviations of the bound ends the search at an anchor."""
+_NEAR = 3.0
+"""Steps shorter than this many standard deviations that do not shrink are damped: 1/2, 1/3, …"""
 _SMALL_MOTION = 0.1
 """The same before that, where the renderer's noise is larger than the image's [pixel]."""
 _ANCHORS = 3
@@ -281,18 +283,26 @@ class _Search:
         """Levenberg–Marquardt, or Gauss–Newton without damping."""
         difference = self.difference(pose)
         first = error = self.error(difference)
+        gain, last = 1.0, np.inf
         for iteration in range(1, iterations + 1):
             step = self.step(difference.mean(axis=0), damping)
             if step is None or self._lost(step):
                 return pose, "diverged", iteration
-            candidate = pose @ se3.exp(step)
+            if self.anchored:
+                length = float(
+                    np.sqrt(step @ self.plain @ step / (1.0 + self.excess(difference, self.plain)))
+                )
+                # Edges cross samples one by one: close by, R̂ is a staircase on which full steps never end.
+                # Steps as in stochastic approximation average over it (Robbins and Monro 1951).
+                if 0.5 * last < length < _NEAR:
+                    gain = gain / (1.0 + gain)
+                last = length
+                small = gain * length < _SMALL_STEP
+            else:
+                small = self.motion(pose, pose @ se3.exp(step)) < _SMALL_MOTION
+            candidate = pose @ se3.exp(gain * step)
             attempt = self.difference(candidate)
             new = self.error(attempt)
-            if self.anchored:
-                tolerance = _SMALL_STEP**2 * (1.0 + self.excess(attempt, self.plain))
-                small = float(step @ self.plain @ step) < tolerance
-            else:
-                small = self.motion(pose, candidate) < _SMALL_MOTION
             expected_fall = 0.5 * float(step @ self.gradient(difference.mean(axis=0)))
             if damping > 0.0 and not new < error and expected_fall > _VISIBLE_FALL * error:
                 damping *= 10.0
