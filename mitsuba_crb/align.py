@@ -39,6 +39,7 @@ from .measure import Measurement, MeasurementOptions, measurement
 from .noise import CoupledNoise, IndependentNoise, NoiseModel
 from .scene import as_scene
 from .se3 import Array
+from .subset import selected
 
 Status = Literal["converged", "diverged", "out of iterations"]
 ESTIMATORS = ("gauss_newton", "levenberg_marquardt", "adam")
@@ -189,11 +190,10 @@ class _Search:
         if isinstance(noise, CoupledNoise):
             raise NoiseError("an alignment needs noise that is independent between pixels")
         noise.check(run.mask.shape[0], run.mask.shape[1], 3)
-        rows, columns = np.nonzero(run.mask)
         self.run = run
         self.noise: IndependentNoise = noise
-        self.pixels = np.stack([columns, rows], axis=1).astype(np.int64)
-        self.measured = image[rows, columns]
+        self.pixels = selected(run.mask)
+        self.measured = image[run.mask]
         self.anchored = False
         self.correction: Array | float = 0.0
         if anchor is not None:
@@ -303,10 +303,11 @@ class _Search:
             candidate = pose @ se3.exp(gain * step)
             attempt = self.difference(candidate)
             new = self.error(attempt)
-            expected_fall = 0.5 * float(step @ self.gradient(difference.mean(axis=0)))
-            if damping > 0.0 and not new < error and expected_fall > _VISIBLE_FALL * error:
-                damping *= 10.0
-                continue
+            if damping > 0.0 and not new < error:
+                expected_fall = 0.5 * float(step @ self.gradient(difference.mean(axis=0)))
+                if expected_fall > _VISIBLE_FALL * error:
+                    damping *= 10.0
+                    continue
             damping *= 0.1
             pose, difference, error = candidate, attempt, new
             if not error < _LOST * first:

@@ -9,11 +9,8 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
-import secrets
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -23,6 +20,7 @@ import numpy.typing as npt
 
 from . import se3
 from .errors import OutputError
+from .files import atomic, beside
 from .identifiability import weakest_direction
 from .pixel_information import along, pixel_information
 from .significance import identified
@@ -206,7 +204,7 @@ def check_target(path: Path, option: str, inputs: Sequence[Path] = ()) -> None:
                 f"{option} {path}: this would overwrite an input of this run; name another file"
             )
     # asking by writing: permission bits say nothing about root, read-only mounts and quotas
-    probe = _beside(path)
+    probe = beside(path)
     try:
         probe.touch(exist_ok=False)
         probe.unlink()
@@ -226,25 +224,6 @@ def check_folder(path: Path, option: str) -> None:
         except OSError as error:
             raise OutputError(f"{option} {path}: cannot make this folder ({error.strerror})") from error
     check_target(path / "probe", option)
-
-
-@contextmanager
-def atomic(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` that replaces it when the block ends, and vanishes if it fails."""
-    target = path.resolve()  # a link keeps pointing where it did
-    temporary = _beside(target)
-    try:
-        yield temporary
-        os.replace(temporary, target)
-    except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
-
-
-def _beside(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
 
 
 def bound_document(bound: PoseBound) -> dict[str, Any]:

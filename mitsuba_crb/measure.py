@@ -153,14 +153,14 @@ def pose_bound(
                 selection=run.selection,
             )
         rendered = time.perf_counter()
-        bound = joint_bound(joint.marginalize(), prior=prior)
-        inflation = joint.marginalize().information.noise_inflation
+        alone = joint.marginalize()
+        bound = joint_bound(alone, prior=prior)
     for warning in caught:
         warnings.warn(warning.message, warning.category, stacklevel=2)
     provenance = {
         **run.provenance(),
         "noise": {**model.to_dict(), "description": model.description, "origin": origin},
-        "noise_inflation": inflation,
+        "noise_inflation": alone.information.noise_inflation,
         "warnings": list(dict.fromkeys(str(warning.message) for warning in caught)),
         "seconds": {
             "prepare": prepared - start,

@@ -13,7 +13,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from .export import Pictures, atomic
+from .export import Pictures
+from .files import atomic
 from .plot import (
     AXIS_NAMES,
     MAP_BLOCK,

@@ -15,7 +15,7 @@ import numpy as np
 
 from .errors import NoiseError, OptionError
 from .information import ImageJacobian, fisher_information
-from .noise import IndependentNoise
+from .noise import CoupledNoise, NoiseModel
 from .se3 import Array
 from .symmetric import pack
 from .ustatistic import square_root, unit_products, whiten
@@ -46,7 +46,7 @@ def along(information: Array, direction: Array) -> Array:
     return np.asarray(information @ weight, dtype=np.float64)
 
 
-def information_share(jacobian: ImageJacobian, noise: IndependentNoise, direction: Array) -> Array:
+def information_share(jacobian: ImageJacobian, noise: NoiseModel, direction: Array) -> Array:
     """Each pixel's share of the information about one direction, (H, W); NaN where it was not measured.
 
     Args:
@@ -59,7 +59,7 @@ def information_share(jacobian: ImageJacobian, noise: IndependentNoise, directio
         OptionError: a direction of the wrong shape, or one that the image does not see.
         NoiseError: the noise model does not fit the image, or couples pixels, which then have no shares.
     """
-    if getattr(noise, "couples_pixels", False):
+    if isinstance(noise, CoupledNoise):
         raise NoiseError("this noise couples pixels: what one of them tells depends on the others")
     v = np.asarray(direction, dtype=np.float64)
     if v.shape != (6,) or not np.isfinite(v).all() or not v.any():

@@ -109,11 +109,17 @@ def _read_mask(pixels: Any, shape: tuple[int, int]) -> tuple[NDArray[np.bool_], 
     return mask, description
 
 
+def selected(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Columns and rows (n, 2) of a mask's pixels, row by row."""
+    rows, columns = np.nonzero(mask)
+    return np.stack([columns, rows], axis=1).astype(np.int64)
+
+
 def tiles(mask: NDArray[np.bool_], tile: int) -> Iterator[NDArray[np.int64]]:
     """The selected pixels (n, 2) of each tile that has any."""
     height, width = mask.shape
     for top in range(0, height, tile):
         for left in range(0, width, tile):
-            rows, columns = np.nonzero(mask[top : top + tile, left : left + tile])
-            if rows.size:
-                yield np.stack([columns + left, rows + top], axis=1).astype(np.int64)
+            pixels = selected(mask[top : top + tile, left : left + tile])
+            if len(pixels):
+                yield pixels + np.array([left, top])

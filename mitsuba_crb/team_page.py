@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from .export import atomic
+from .files import atomic
 from .plot import MUTED, draw_budget_curve, draw_tiles
 
 if TYPE_CHECKING:

@@ -28,12 +28,14 @@ from .align import Anchor, Status, align
 from .bound import PoseBound, cramer_rao_bound
 from .consistency import Consistency, consistency
 from .errors import PrecisionWarning, TrialError
+from .files import atomic
 from .information import ImageJacobian, fisher_information
 from .measure import MeasurementOptions, measurement
 from .noise import Gaussian
 from .processes import each
 from .scene import load_scene
 from .se3 import Array
+from .subset import selected
 
 SCHEMA = "mitsuba-crb/validate/1"
 DEFAULT_SPP = 256
@@ -206,7 +208,7 @@ def validate(
             on_trial(len(done), trials)
     ordered = tuple(done[index] for index in range(trials))
     noise = Gaussian(chosen if assumed_sigma is None else assumed_sigma)
-    return _judge(settings, ordered, jacobian, noise, chosen, confidence)
+    return _judge(settings, ordered, jacobian, noise, confidence)
 
 
 def _expected(
@@ -220,11 +222,9 @@ def _expected(
         model = run.noise(None if sigma is None else Gaussian(sigma))[0]
         if not isinstance(model, Gaussian):
             raise TrialError("trials need Gaussian noise")
-        rows, columns = np.nonzero(run.mask)
-        pixels = np.stack([columns, rows], axis=1).astype(np.int64)
         image = np.full((1, *run.mask.shape, 3), np.nan)
-        image[0, rows, columns] = render_pixels(
-            run.view, pixels, spp=run.spp, seed=run.seed, purpose=_EXPECTED
+        image[0, run.mask] = render_pixels(
+            run.view, selected(run.mask), spp=run.spp, seed=run.seed, purpose=_EXPECTED
         )[0]
         jacobian = run.jacobian()
         return Anchor(run.view.pose, image, jacobian), jacobian, model.sigma, run.view.label
@@ -283,7 +283,6 @@ def _judge(
     trials: tuple[Trial, ...],
     jacobian: ImageJacobian,
     noise: Gaussian,
-    sigma: float,
     confidence: float,
 ) -> Validation:
     information = fisher_information(jacobian, noise)
@@ -346,6 +345,5 @@ def _resumed(file: Path | None, settings: dict[str, Any], trials: int) -> dict[i
 
 
 def _write(file: Path, document: dict[str, Any]) -> None:
-    temporary = file.with_name(f".{file.name}.partial")
-    temporary.write_text(json.dumps(document), encoding="utf-8")
-    temporary.replace(file)
+    with atomic(file) as temporary:
+        temporary.write_text(json.dumps(document), encoding="utf-8")

@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy import stats
 
-from .export import atomic
+from .files import atomic
 from .plot import MUTED
 from .se3 import Array
 

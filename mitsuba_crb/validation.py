@@ -168,7 +168,7 @@ def _compare(
     e, e_fd, e_d = (np.diag(item.standard_error) for item in (own, fd, difference))
     # Columns are compared on the scale of the best-seen translation or rotation of the reference: below 1e-6
     # of it a column is float32 rounding.
-    scale = np.array([fd.length_scale**2] * 3 + [1.0] * 3)
+    scale = fd.scale**2
     floor = 1e-6 * np.max(f_fd * scale) / scale
     seen = f_fd > np.maximum(_SIGMAS * e_fd, floor)
     claimed = f > np.maximum(_SIGMAS * np.hypot(e, e_fd), floor)

@@ -7,6 +7,7 @@ log-likelihood of a measurement, written with SciPy's distributions.
 from __future__ import annotations
 
 import json
+from abc import ABC, abstractmethod
 
 import numpy as np
 
@@ -15,20 +16,20 @@ from mitsuba_crb import noise
 DRAWS = 20000
 
 
-class NoiseLaws:
+class NoiseLaws(ABC):
     """Inherit, and define `model`, `means`, `draw` and `log_likelihood`."""
 
     model: noise.IndependentNoise
     means = ((0.3, 0.1, 0.7),)
     """Noise-free radiances of the channels at which the laws are tested."""
 
+    @abstractmethod
     def draw(self, rng, mean):
         """(DRAWS, D) measurements of a pixel with the mean (C,), from the true process."""
-        raise NotImplementedError
 
+    @abstractmethod
     def log_likelihood(self, values, mean):
         """(DRAWS,) log probability (density) of measurements (DRAWS, D)."""
-        raise NotImplementedError
 
     def information(self, mean, model=None):
         """(C, C) what the model says."""
