@@ -257,7 +257,9 @@ def closure(
         edge = parallax_term(view, prepared.contours, pixels, zero, spp=4 * spp, **options)
     inner, edge = inner[:, :, 0, :columns], edge[:, :, 0, :columns]
     mean = edge.mean(axis=0)
-    products = -np.einsum("knj,nj->kj", inner, mean) / np.sum(mean**2, axis=0)
+    # Between different batches, because the edge term's own noise would add to its square.
+    square = (BATCHES * np.sum(mean**2, axis=0) - np.mean(np.sum(edge**2, axis=1), axis=0)) / (BATCHES - 1)
+    products = -np.einsum("knj,nj->kj", inner, mean) / square
     return products.mean(axis=0), products.std(axis=0, ddof=1) / np.sqrt(BATCHES)
 
 

@@ -10,7 +10,15 @@ import numpy as np
 import pytest
 from small_scenes import camera, scene, textured_wall
 
-from mitsuba_crb.jacobian.pixels import OffsetTable, PixelFilter, first_hits, render_pixels
+from mitsuba_crb.information import BLOCK
+from mitsuba_crb.jacobian.pixels import (
+    EvenNumbers,
+    OffsetTable,
+    PixelFilter,
+    first_hits,
+    lattice_point,
+    render_pixels,
+)
 from mitsuba_crb.scene import View, open_view
 
 FILTERS = ("gaussian", "box", "tent", "mitchell", "catmullrom", "lanczos")
@@ -106,3 +114,24 @@ def test_depth_is_along_the_optical_axis() -> None:
     with open_view(scene(sensor=sensor)) as view:
         _, depth = first_hits(view, _grid(view))
     assert np.all(np.isinf(depth))
+
+
+def test_the_pixels_of_a_block_share_out_random_numbers_evenly() -> None:
+    """Orders are permutations, no two alike; numbers are uniform, and a block's mean hardly varies."""
+    batches, count = 16, BLOCK * BLOCK
+    with open_view(textured_wall(sensor=camera(4 * BLOCK, 4 * BLOCK))) as view:
+        even = EvenNumbers.of(view, _grid(view), batches, 5, 2)
+        x, _ = np.array(lattice_point(even.rank, even.shifts[1]), dtype=np.float64)
+    by_block = (4, BLOCK, 4, BLOCK, batches)
+    ranks, x = (
+        np.array(value).reshape(by_block).transpose(0, 2, 4, 1, 3).reshape(-1, count)
+        for value in (even.rank, x)
+    )
+    assert np.array_equal(np.sort(ranks, axis=1), np.tile(np.arange(count), (len(ranks), 1)))
+    assert len(np.unique(ranks, axis=0)) > 0.99 * len(ranks)
+    assert np.abs(np.corrcoef(ranks[:40])[np.triu_indices(40, 1)]).mean() < 2.0 / np.sqrt(count)
+    assert np.all(np.abs(x.mean(axis=0) - 0.5) < 5.0 * np.sqrt(1.0 / 12.0 / len(x)))
+    independent = (1.0 / 5.0 - 1.0 / 9.0) / count
+    assert (x**2).mean(axis=1).var() < 0.2 * independent
+    alone = np.random.default_rng(0).permuted(x, axis=0)  # the same numbers, no longer shared out
+    assert (alone**2).mean(axis=1).var() > 0.5 * independent

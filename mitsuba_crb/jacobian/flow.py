@@ -12,7 +12,8 @@ n·q changes by −n·ρ_a only, hence ∇·f = −(n·ρ_a)/(n·q) − 3 q̇_z/
 
 The filter term needs radiance only, not its derivative, so it is exact for edges, textures and shadows of any
 kind and for every integrator. Rays that escape see points at infinity, ρ_a = 0. The constant Ī_u (from a
-pilot render, the same for all batches) costs no bias: the three terms of L = 1 add up to zero.
+pilot render, the same for all batches) costs no bias: the three terms of L = 1 add up to zero. The pixels of
+a block share out their random numbers evenly (`EvenNumbers`), so it is blocks whose errors are independent.
 At rims ∇·f grows as 1/√distance: finite mean, no clamping. Participating media and the ellipsoids of radiance
 fields have no points to follow: rotation needs none, translation is left to finite differences.
 
@@ -37,11 +38,13 @@ from .pairs import GOLDEN, BoxPairs, PairSample, SmoothPairs, filter_pairs
 from .paths import IntegratorTracer, PathTracer, tracer
 from .pixels import (
     PILOT,
+    EvenNumbers,
     PixelFilter,
     camera_ray,
     download,
     lane_sampler,
     lanes,
+    lattice_point,
     move_ray,
     opaque_transform,
     render_pixels,
@@ -54,6 +57,9 @@ if TYPE_CHECKING:
 
     from ..scene import View
 
+_USES = 4
+_FILM, *_OF_PATHS = range(_USES)
+"""What `EvenNumbers` are for: film offsets; lens points, emitters and directions at the first surface."""
 PILOT_SPP = 4
 PILOT_CELL = 2
 """The baseline Ī_u comes from this many paths through one pixel of every cell [pixel]: antithetic pairs leave
@@ -73,13 +79,10 @@ class Prepared:
     """World from camera."""
     focal: mi.Vector2f
     """d(film point)/d(q_x/q_z, q_y/q_z), the focal lengths with their signs [pixel]."""
-    film_flows: tuple[FilmFlow, ...]
+    film_flows: tuple[FilmFlow, ...] = ()
     """Of parameters that act on the film alone; each adds a column after the twist's six."""
-
-    @property
-    def block(self) -> int:
-        """Side of the film blocks whose errors are independent [pixel]: one's, where no contour is shared."""
-        return BLOCK if isinstance(self.contours, Contours) and len(self.contours.piece) else 1
+    block: int = BLOCK
+    """Side of the film blocks whose errors are independent [pixel]."""
 
 
 def prepare(view: View, film_flows: tuple[FilmFlow, ...] = ()) -> Prepared:
@@ -204,6 +207,7 @@ def filter_and_view_terms(
         view,
         prepared,
         lane_sampler(pixel, batch, seed),
+        EvenNumbers.of(view, pixels, batches, seed, _USES),
         centre,
         mi.Color3f(*(upload(mi.Float, np.repeat(channel, batches)) for channel in baseline.T)),
         counts,
@@ -223,6 +227,7 @@ def _sum_pairs(
     view: View,
     prepared: Prepared,
     sampler: mi.Sampler,
+    even: EvenNumbers,
     centre: mi.Point2f,
     baseline: mi.Color3f,
     counts: list[mi.Float],
@@ -237,13 +242,13 @@ def _sum_pairs(
     world_to_camera = transform.inverse()
     columns = [mi.Color3f(0.0) for _ in range(6 + len(prepared.film_flows))]
     image = mi.Color3f(0.0)
-    shift = sampler.next_2d()
+    shift = lattice_point(even.rank, even.shifts[_FILM])
     start = mi.UInt32(sampler.next_1d() * mi.Float(starts))
     rng = mi.PCG32(sampler.rng)
     pair_rng = mi.PCG32(rng)
     i = mi.UInt32(0)
     while dr.hint(
-        i < 2 * number, exclude=[view, prepared, pairs, view_term, counts], label="antithetic pairs"
+        i < 2 * number, exclude=[view, prepared, pairs, view_term, counts, even], label="antithetic pairs"
     ):
         # Both halves of a pair trace their paths with the same random numbers.
         mirrored = (i & 1) == 1
@@ -254,17 +259,20 @@ def _sum_pairs(
         index = (i >> 1) + start
         turn = mi.Float(index // pairs.kinds)
         kind = index % pairs.kinds
-        along = shift.x + turn * _reciprocal_count(kind, counts)
+        along = (shift.x + turn) * _reciprocal_count(kind, counts)
         across = shift.y + turn * GOLDEN
         half = pairs.draw(kind, along - dr.floor(along), across - dr.floor(across), mirrored, counts)
 
+        place = even.rank * number + (i >> 1)
+        aperture, emitter, direction = (lattice_point(place, even.shifts[use]) for use in _OF_PATHS)
+        first = (emitter, direction)
         film = centre + mi.Vector2f(half.offset)
-        ray, importance = camera_ray(view, film, path_sampler.next_2d())
+        ray, importance = camera_ray(view, film, aperture)
         world_ray = move_ray(ray, transform)
         if dr.hint(view_term is not None, mode="scalar"):
             angle = path_sampler.next_1d()
             shifted_sampler = path_sampler.clone()
-        seen = prepared.tracer.trace(view, path_sampler, world_ray)
+        seen = prepared.tracer.trace(view, path_sampler, world_ray, first)
         rng = mi.PCG32(path_sampler.rng)
         light = importance * seen.light
 
@@ -284,7 +292,7 @@ def _sum_pairs(
         if dr.hint(view_term is not None, mode="scalar"):
             tangent = _tangent(ray.d, angle, mirrored)
             change = view_term.along(
-                view, prepared.tracer, shifted_sampler, world_ray, seen, distance, transform @ tangent
+                view, prepared.tracer, shifted_sampler, first, world_ray, seen, distance, transform @ tangent
             )
             change *= importance * half.value
             turning = dr.cross(lens, tangent)

@@ -1,12 +1,14 @@
 """Film offsets for the filter term: antithetic pairs drawn from the filter's derivative.
 
-    ∫ ∂h/∂x g dv ≈ mean of ½ Σ_± (∂h/∂x)/p g(±x, y),   p(x, y) = |h'(x)| q(y) / ∫|h'|,   q ∝ |h|.
+    ∫ ∂h/∂x g dv ≈ mean of ½ Σ_± (∂h/∂x)/p g(±x, y),   p(x, y) ∝ |h'(x)| (1 + 2|x|/r) q(y),   q ∝ |h|.
 
 The two halves of a pair mirror each other in the pixel's axis: ∂h/∂x changes its sign and g hardly changes,
-so all that they share (with the same random numbers: light, noise, baseline) cancels. The same pairs give
-∫ h g by the balance heuristic over both axes; one axis alone would have infinite variance, because p vanishes
-with h' where h does not. A box filter's derivative is two edges, so it also needs pairs inside the pixel.
-Offsets along a lane's pairs follow a randomly shifted rank-1 lattice: unbiased, and less noise.
+so all that they share (with the same random numbers: light, noise, baseline) cancels. Edges are best met by
+p ∝ |h'|, slopes by p ∝ |x h'|, where every pair measures the same; p, r the filter's radius, lies between the
+two and loses little to either. The same pairs give ∫ h g by the balance heuristic over both axes; one axis
+alone would have infinite variance, because p vanishes with h' where h does not. A box filter's derivative is
+two edges, so it also needs pairs inside the pixel.
+Offsets along a pixel's pairs follow a randomly shifted rank-1 lattice: unbiased, and less noise.
 
 Source: design section 4.1; antithetic sampling, Zhang et al. 2021; filter derivatives, Yu et al. 2022.
 """
@@ -46,8 +48,8 @@ class PairSample:
 class SmoothPairs:
     """Pairs along x and along y for filters that fall to zero continuously.
 
-    h is replaced by its linear interpolant at nodes between which h varies by equal amounts, so that drawing
-    from |h'| is exact and ∂h/∂x over its density constant up to sign (2048 nodes: h is met within 1e-4).
+    h is replaced by its linear interpolant at nodes between which p has equal mass, so that drawing from p is
+    exact and ∂h/∂x over its density constant between nodes (2048 nodes: h is met within 1e-4).
     """
 
     pixel_filter: PixelFilter
@@ -56,7 +58,7 @@ class SmoothPairs:
     values: mi.Float
     """h(x_i) [1/pixel]."""
     ratio: mi.Float
-    """|h'|/|h| up to a factor, on a uniform grid over [0, radius]; only steers the balance heuristic."""
+    """p/q² up to a factor, on a uniform grid over [0, radius]; only steers the balance heuristic."""
 
     kinds = 2
 
@@ -78,13 +80,14 @@ class SmoothPairs:
                 "method 'flow' knows box, tent, gaussian, mitchell, catmullrom and lanczos"
             )
         h[-1] = 0.0
-        variation = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(h)))])
-        # Rounding makes h's flat parts noisy; a little uniform variation keeps the nodes apart.
-        variation = variation / variation[-1] + 1e-4 * grid / radius
-        nodes = np.interp(np.linspace(0.0, variation[-1], CELLS + 1), variation, grid)
+        far = 1.0 + (grid[1:] + grid[:-1]) / radius
+        mass = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(h)) * far)])
+        # Rounding makes h's flat parts noisy; a little uniform mass keeps the nodes apart.
+        mass = mass / mass[-1] + 1e-4 * grid / radius
+        nodes = np.interp(np.linspace(0.0, mass[-1], CELLS + 1), mass, grid)
         values = np.interp(nodes, grid, h)
         middle = (np.arange(RATIO_CELLS) + 0.5) * radius / RATIO_CELLS
-        slope = np.abs(np.interp(middle, 0.5 * (grid[1:] + grid[:-1]), np.diff(h) / np.diff(grid)))
+        slope = np.abs(np.interp(middle, 0.5 * (grid[1:] + grid[:-1]), np.diff(h) / np.diff(grid) * far))
         size = np.abs(np.interp(middle, grid, h))
         ratio = (slope + 1e-3 * slope.max()) / (size + 1e-3 * size.max())
         return SmoothPairs(

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import drjit as dr
 
@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
     from ..scene import View
+
+
+Numbers: TypeAlias = "tuple[mi.Point2f, mi.Point2f]"
+"""Random numbers in [0, 1)² of a surface, for the emitter and for the direction in which the path goes on."""
 
 
 @dataclass(frozen=True)
@@ -72,12 +76,14 @@ def first_hit(view: View, ray: mi.Ray3f, active: mi.Bool | bool = True) -> mi.Su
 class IntegratorTracer:
     """Calls the view's integrator, and intersects the first surface beside it."""
 
-    def trace(self, view: View, sampler: mi.Sampler, ray: mi.Ray3f) -> Seen:
-        """Radiance along camera rays in the world, and what they hit."""
+    def trace(self, view: View, sampler: mi.Sampler, ray: mi.Ray3f, _first: Numbers | None = None) -> Seen:
+        """Radiance along camera rays in the world, and what they hit; integrators draw their own numbers."""
         hit = first_hit(view, ray)
         return Seen(hit, radiance(view, sampler, ray), [])
 
-    def radiance(self, view: View, sampler: mi.Sampler, ray: mi.Ray3f, active: mi.Bool) -> mi.Color3f:
+    def radiance(
+        self, view: View, sampler: mi.Sampler, ray: mi.Ray3f, _first: Numbers | None, active: mi.Bool
+    ) -> mi.Color3f:
         """As `trace`, from the same random numbers."""
         return radiance(view, sampler, ray, active)
 
@@ -89,26 +95,38 @@ class PathTracer:
     max_depth: int
     rr_depth: int
 
-    def trace(self, view: View, sampler: mi.Sampler, ray: mi.Ray3f) -> Seen:
-        """Radiance along camera rays in the world, and what they hit."""
+    def trace(self, view: View, sampler: mi.Sampler, ray: mi.Ray3f, first: Numbers | None = None) -> Seen:
+        """Radiance along camera rays in the world, and what they hit.
+
+        Args:
+            first: numbers of the first surface in place of the sampler's.
+        """
         import mitsuba as mi
 
         hit = first_hit(view, ray)
-        light, incident = self._trace(view, sampler, ray, hit, mi.Bool(True))
+        light, incident = self._trace(view, sampler, ray, hit, first, mi.Bool(True))
         return Seen(hit, light, incident)
 
-    def radiance(self, view: View, sampler: mi.Sampler, ray: mi.Ray3f, active: mi.Bool) -> mi.Color3f:
+    def radiance(
+        self, view: View, sampler: mi.Sampler, ray: mi.Ray3f, first: Numbers | None, active: mi.Bool
+    ) -> mi.Color3f:
         """As `trace`, from the same random numbers."""
-        return self._trace(view, sampler, ray, first_hit(view, ray, active), active)[0]
+        return self._trace(view, sampler, ray, first_hit(view, ray, active), first, active)[0]
 
     def _trace(
-        self, view: View, sampler: mi.Sampler, ray: mi.Ray3f, hit: mi.SurfaceInteraction3f, active: mi.Bool
+        self,
+        view: View,
+        sampler: mi.Sampler,
+        ray: mi.Ray3f,
+        hit: mi.SurfaceInteraction3f,
+        first: Numbers | None,
+        active: mi.Bool,
     ) -> tuple[mi.Color3f, list[tuple[mi.Vector3f, mi.Color3f]]]:
         import mitsuba as mi
 
         light = hit.emitter(view.scene, active).eval(hit, active)
         bounces = active & hit.is_valid() & (self.max_depth > 1)
-        vertex = _scatter(view.scene, sampler, hit, ray, bounces)
+        vertex = _scatter(view.scene, sampler, hit, ray, bounces, first)
         beyond = self._beyond(view, sampler, hit, vertex, bounces)
         light += vertex.towards_value * vertex.towards_weight + vertex.weight * beyond
         density = dr.select(vertex.density > 0.0, dr.rcp(vertex.density), 0.0)
@@ -179,17 +197,25 @@ class _Vertex:
 
 
 def _scatter(
-    scene: mi.Scene, sampler: mi.Sampler, si: mi.SurfaceInteraction3f, ray: mi.Ray3f, active: mi.Bool
+    scene: mi.Scene,
+    sampler: mi.Sampler,
+    si: mi.SurfaceInteraction3f,
+    ray: mi.Ray3f,
+    active: mi.Bool,
+    numbers: Numbers | None = None,
 ) -> _Vertex:
     import mitsuba as mi
 
     bsdf = si.bsdf(ray)
     lit = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-    emitter, emitted = scene.sample_emitter_direction(si, sampler.next_2d(), True, lit)
+    emitter, emitted = scene.sample_emitter_direction(
+        si, numbers[0] if numbers else sampler.next_2d(), True, lit
+    )
     lit &= emitter.pdf != 0.0
     towards = si.to_local(emitter.d)
+    lobe = sampler.next_1d()
     value, density, sample, weight = bsdf.eval_pdf_sample(
-        mi.BSDFContext(), si, towards, sampler.next_1d(), sampler.next_2d(), active
+        mi.BSDFContext(), si, towards, lobe, numbers[1] if numbers else sampler.next_2d(), active
     )
     heuristic = dr.select(emitter.delta, 1.0, _power_heuristic(emitter.pdf, density))
     return _Vertex(

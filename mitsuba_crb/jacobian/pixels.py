@@ -18,13 +18,15 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from ..information import BLOCK
+
 if TYPE_CHECKING:
     import mitsuba as mi
 
     from ..scene import View
 
-PILOT = 0x50494C4F
-"""Purpose of the random numbers of pilot renders; Jacobians use 0."""
+PILOT, EVEN = 0x50494C4F, 0x4556454E
+"""Purposes of the random numbers of pilot renders, and of what a block's pixels share; Jacobians use 0."""
 LATTICE = (3242174889, 2447445414)
 """2³² times 1/g and 1/g², g³ = g + 1: multiples modulo 1 fill the unit square evenly (Roberts 2018)."""
 
@@ -99,6 +101,48 @@ def lane_sampler(pixel: mi.UInt32, batch: mi.UInt32, seed: int, purpose: int = 0
     state = mi.sample_tea_64(pixel, key)
     stream = mi.sample_tea_64(batch ^ salt, pixel)
     return _sampler_class()(mi.PCG32(1, state, stream))
+
+
+def lattice_point(number: mi.UInt32, shift: mi.Point2f) -> mi.Point2f:
+    """One of the points in [0, 1)² of the lattice with this shift; consecutive ones lie evenly."""
+    import mitsuba as mi
+
+    # In integers, whose multiples are exact modulo 1.
+    u = shift + mi.Point2f(*((number * mi.UInt32(step) >> 8) / 2.0**24 for step in LATTICE))
+    return mi.Point2f(u - dr.floor(u))
+
+
+@dataclass(frozen=True)
+class EvenNumbers:
+    """Random points of [0, 1)² that the pixels of a film block share out evenly among them, batch by batch.
+
+    The pixels' errors then cancel in the block's information. A block's lattice has a random shift, and its
+    pixels a random order: were that the same in two batches, so would their errors be, pixel by pixel.
+    """
+
+    rank: mi.UInt32
+    """Of the lane's pixel in its block."""
+    shifts: list[mi.Point2f]
+    """For each use."""
+
+    @staticmethod
+    def of(view: View, pixels: NDArray[np.int64], batches: int, seed: int, uses: int) -> EvenNumbers:
+        """Of lanes as from `lanes`, for so many independent uses."""
+        import mitsuba as mi
+
+        block = pixels // BLOCK
+        columns = -(-view.size[0] // BLOCK)
+        batch = upload(mi.UInt32, np.tile(np.arange(batches), len(pixels)))
+        of_block = upload(mi.UInt32, np.repeat(block[:, 1] * columns + block[:, 0], batches))
+        sampler = lane_sampler(of_block, batch, seed, EVEN)
+        local = pixels - BLOCK * block
+        rank = upload(mi.UInt32, np.repeat(local[:, 1] * BLOCK + local[:, 0], batches))
+        # Steps that permute 0 … BLOCK² − 1: adding, multiplying by an odd number, mixing high bits into low.
+        for _ in range(2):
+            random = mi.UInt32(sampler.next_1d() * 65536.0)
+            rank = (rank + (random >> 8)) * (random | 1) & (BLOCK * BLOCK - 1)
+            rank ^= rank >> 3
+        return EvenNumbers(rank, [sampler.next_2d() for _ in range(uses)])
 
 
 @dataclass(frozen=True)
@@ -297,9 +341,7 @@ def sum_samples(
         shift = sampler.next_2d()
     while dr.hint(i < spp, exclude=[view, pixel_filter], label="pixel samples"):
         if dr.hint(lattice, mode="scalar"):
-            # In integers, whose multiples are exact modulo 1.
-            u = shift + mi.Point2f(*((i * mi.UInt32(step) >> 8) / 2.0**24 for step in LATTICE))
-            offset, weight = pixel_filter.sample(u - dr.floor(u))
+            offset, weight = pixel_filter.sample(lattice_point(i, shift))
         else:
             offset, weight = pixel_filter.sample(sampler.next_2d())
         aperture = sampler.next_2d()

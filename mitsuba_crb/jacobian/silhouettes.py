@@ -38,10 +38,12 @@ Ints = NDArray[np.int64]
 ASIDE = 4e-3
 """How far to either side of a contour its two surfaces are looked for [pixel]."""
 _FLOOR = 0.1
-"""Share of samples for pieces that both probes found hidden."""
-_RATE = 0.125
-"""Samples per pixel of visible contour, per path and pixel: their noise is below 2 % of the filter term's in
-lit rooms, and their time below 5 %."""
+"""Sampling weight, as a relative jump of depth, of pieces that both probes found hidden."""
+_RATE = 0.2
+"""Samples per pixel of contour and unit of its relative jump of depth, per path and pixel: their noise is
+below 2 % of the filter term's in lit rooms, and their time below 5 %."""
+_HIDDEN_RATE = 0.05
+"""Least relative jump of depth that counts there."""
 
 
 @dataclass(frozen=True)
@@ -248,11 +250,11 @@ def _weighted(contours: Contours, block: Ints, length: Floats) -> Contours:
     block, piece, arc = block[kept], piece[kept], arc[kept]
     weight = arc * near[piece] * (_FLOOR + seen[piece])
     blocks = len(contours.samples)
-    visible = np.bincount(block, arc * np.where(seen[piece] > 0.0, 1.0, _FLOOR), blocks)
+    worth = np.bincount(block, arc * (_HIDDEN_RATE + seen[piece]), blocks)
     return dataclasses.replace(
         contours,
         first=np.searchsorted(block, np.arange(blocks + 1)),
         piece=piece,
         cumulative=np.concatenate([[0.0], np.cumsum(weight)]),
-        samples=np.minimum(_RATE * visible, BLOCK * BLOCK),
+        samples=np.minimum(_RATE * worth, BLOCK * BLOCK),
     )

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 import numpy as np
 
-from .paths import IntegratorTracer, PathTracer, Seen
+from .paths import IntegratorTracer, Numbers, PathTracer, Seen
 from .pixels import upload
 
 if TYPE_CHECKING:
@@ -92,6 +92,7 @@ class ViewTerm:
         view: View,
         tracer: PathTracer | IntegratorTracer,
         sampler: mi.Sampler,
+        first: Numbers | None,
         ray: mi.Ray3f,
         seen: Seen,
         distance: mi.Float,
@@ -100,7 +101,7 @@ class ViewTerm:
         """2 ∂L/∂a·t [radiance / scene unit]; zero where nothing is needed.
 
         Args:
-            sampler: in the state in which `seen` was traced.
+            sampler, first: in the state in which `seen` was traced.
             ray: the camera ray in the world.
             seen: what `tracer` found along it.
             distance: from the lens point to the hit [scene unit].
@@ -124,21 +125,26 @@ class ViewTerm:
             if self.frames:
                 needed |= _frame_flips(hit, direction, hit.is_valid() & (need == HORIZON))
             start = mi.Point3f(hit.p - direction * (BEFORE * distance))
-            shifted = _radiance_where(needed, view, tracer, sampler, mi.Ray3f(start, direction))
+            shifted = _radiance_where(needed, view, tracer, sampler, first, mi.Ray3f(start, direction))
             change[needed] = (shifted - seen.light) * (2.0 * dr.rcp(step * distance))
         return dr.select(hit.is_valid(), change, 0.0)
 
 
 @dr.syntax  # type: ignore[untyped-decorator]  # Dr.Jit is untyped here
 def _radiance_where(
-    needed: mi.Bool, view: View, tracer: PathTracer | IntegratorTracer, sampler: mi.Sampler, ray: mi.Ray3f
+    needed: mi.Bool,
+    view: View,
+    tracer: PathTracer | IntegratorTracer,
+    sampler: mi.Sampler,
+    first: Numbers | None,
+    ray: mi.Ray3f,
 ) -> mi.Color3f:
     """Radiance where needed; a branch, because most scenes need it nearly nowhere."""
     import mitsuba as mi
 
     light = mi.Color3f(0.0)
-    if dr.hint(needed, exclude=[view, tracer, sampler]):
-        light = tracer.radiance(view, sampler, ray, mi.Bool(True))
+    if dr.hint(needed, exclude=[view, tracer, sampler, first]):
+        light = tracer.radiance(view, sampler, ray, first, mi.Bool(True))
     return light
 
 
