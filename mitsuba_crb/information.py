@@ -377,12 +377,15 @@ class InformationAccumulator:
         for low, high in pairwise(cuts):
             whitened = whiten(values, root, order[starts[low] : starts[high]])
             self._plain += gram(whitened.mean(axis=2).reshape(-1, self._columns))
-            units = unit_products(whitened, starts[low : high + 1] - starts[low])
-            self._sum += self._units.add(units).sum(axis=1)
+            own = starts[low : high + 1] - starts[low]
             if self._sampled:
                 each = unit_products(whitened, np.arange(len(whitened) + 1))
+                units = np.add.reduceat(each, own[:-1], axis=-1)
                 means = self._pixels.add(each) if self._block > 1 else each.mean(axis=0)
                 self._pixel_squares += gram(means.T)
+            else:
+                units = unit_products(whitened, own)
+            self._sum += self._units.add(units).sum(axis=1)
 
     def add_coupled(self, batch_values: ArrayLike, noise: CoupledNoise, pixels: ArrayLike) -> None:
         """Add all pixels of an image whose noise is correlated between them: they must come in one call.

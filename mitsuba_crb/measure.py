@@ -15,6 +15,7 @@ import importlib.metadata
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache, partial
 from types import ModuleType
 from typing import Any, TypedDict, Unpack
 
@@ -184,6 +185,19 @@ class TileJacobian:
     nuisance_values: NDArray[np.float64] | None = None
     """(K, n, 3, m) estimates of the derivatives in the nuisance parameters; None without any."""
 
+    def finite(self) -> TileJacobian:
+        """Without the pixels at which anything is NaN or infinite."""
+        found = [self.batch_values, self.mean[None]]
+        if self.nuisance_values is not None:
+            found.append(self.nuisance_values)
+        if all(np.isfinite(values).all() for values in found):
+            return self
+        good = np.logical_and.reduce(
+            [np.isfinite(values).all(axis=(0, *range(2, values.ndim))) for values in found]
+        )
+        others = None if self.nuisance_values is None else self.nuisance_values[:, good]
+        return TileJacobian(self.batch_values[:, good], self.pixels[good], self.mean[good], others)
+
     @property
     def all_values(self) -> NDArray[np.float64]:
         """(K, n, 3, 6 + m), the pose's and the nuisances' columns."""
@@ -334,23 +348,16 @@ class Measurement:
 
     def tiles(self) -> Iterator[TileJacobian]:
         """The Jacobian, one tile after the other."""
-        jacobian = _module(self.method).jacobian
         paths = {"spp": self.spp, "seed": self.seed, "batches": self.batches}
         done, total, invalid = 0, int(self.mask.sum()), 0
-        for part in subset.tiles(self.mask, self.tile):
-            values, images = jacobian(self.view, part, **paths, prepared=self.prepared)
+        for part, (values, images) in self._in_turn(paths):
             values, film = values[..., :6], values[..., 6:]
             others = None
             if self.nuisances:
                 others = nuisance_columns(self.nuisances, self.view, part, images, film, **paths)
-            primal = images.mean(axis=0)
             done += len(part)
-            good = np.isfinite(values).all(axis=(0, 2, 3)) & np.isfinite(primal).all(axis=1)
-            if others is not None:
-                good &= np.isfinite(others).all(axis=(0, 2, 3))
-                others = others[:, good]
-            invalid += int((~good).sum())
-            tile = TileJacobian(values[:, good], part[good], primal[good], others)
+            tile = TileJacobian(values, part, images.mean(axis=0), others).finite()
+            invalid += len(part) - len(tile.pixels)
             if self.on_tile is not None:
                 self.on_tile(tile, done, total)
             if self.drop_invalid or not invalid:
@@ -360,6 +367,19 @@ class Measurement:
                 f"{invalid} of {total} pixels have radiance that is NaN or infinite; mend the scene or leave "
                 "them out with --drop-invalid (drop_invalid=True)"
             )
+
+    def _in_turn(self, paths: dict[str, int]) -> Iterator[tuple[NDArray[np.int64], Any]]:
+        """Each tile's pixels and what the method says of them, while flow's next paths are traced already."""
+        module = _module(self.method)
+        start = module.start if self.method == "flow" else partial(partial, module.jacobian)
+        ahead = None
+        for part in subset.tiles(self.mask, self.tile):
+            started = part, start(self.view, part, **paths, prepared=self.prepared)
+            if ahead is not None:
+                yield ahead[0], ahead[1]()
+            ahead = started
+        if ahead is not None:
+            yield ahead[0], ahead[1]()
 
 
 @contextlib.contextmanager
@@ -450,6 +470,7 @@ def _check_options(method: str, spp: int, seed: int, batches: int, tile: int) ->
         raise OptionError(f"tile must be a positive multiple of {BLOCK} pixels; got {tile}")
 
 
+@cache
 def versions() -> dict[str, str]:
     """Versions of everything that the numbers depend on."""
     packages = ("mitsuba_crb", "mitsuba", "drjit", "numpy", "scipy")

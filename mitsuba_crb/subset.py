@@ -50,12 +50,14 @@ def choose(
         return np.ones((height, width), dtype=bool), whole
     if isinstance(pixels, str) and pixels.split(":")[0] in ("random", "gradient"):
         rule, count = _parse_fraction(pixels, whole.total)
+        if count == whole.total:
+            return np.ones((height, width), dtype=bool), whole
         if rule == "random":
-            ranking = np.random.default_rng(seed).permutation(whole.total)
+            chosen = np.random.default_rng(seed).choice(whole.total, count, replace=False, shuffle=False)
         else:
-            ranking = np.argsort(-_gradient(pilot_image()).ravel(), kind="stable")
+            chosen = np.argsort(-_gradient(pilot_image()).ravel(), kind="stable")[:count]
         mask = np.zeros(whole.total, dtype=bool)
-        mask[ranking[:count]] = True
+        mask[chosen] = True
         return mask.reshape(height, width), PixelSelection(
             "random" if rule == "random" else "only", whole.total, count, pixels
         )
@@ -116,10 +118,16 @@ def selected(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def tiles(mask: NDArray[np.bool_], tile: int) -> Iterator[NDArray[np.int64]]:
-    """The selected pixels (n, 2) of each tile that has any."""
+    """The selected pixels (n, 2) of one tile after the other, of several at once where few are selected."""
     height, width = mask.shape
+    held: list[NDArray[np.int64]] = []
     for top in range(0, height, tile):
         for left in range(0, width, tile):
             pixels = selected(mask[top : top + tile, left : left + tile])
+            if held and sum(map(len, held)) + len(pixels) > tile * tile:
+                yield np.concatenate(held)
+                held = []
             if len(pixels):
-                yield pixels + np.array([left, top])
+                held.append(pixels + np.array([left, top]))
+    if held:
+        yield np.concatenate(held)

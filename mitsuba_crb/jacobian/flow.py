@@ -23,7 +23,7 @@ Source: design section 4.1; Zhang et al. 2020, Path-Space Differentiable Renderi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import drjit as dr
 import numpy as np
@@ -53,10 +53,14 @@ from .pixels import (
 from .view_term import ViewTerm
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import mitsuba as mi
 
     from ..scene import View
 
+Result: TypeAlias = "Callable[[], tuple[NDArray[np.float64], NDArray[np.float64]]]"
+"""Waits for, and returns, what `jacobian` does."""
 _USES = 4
 _FILM, *_OF_PATHS = range(_USES)
 """What `EvenNumbers` are for: film offsets; lens points, emitters and directions at the first surface."""
@@ -150,21 +154,41 @@ def jacobian(
         (batches, n, 3, 6 + m) Jacobians [radiance / scene unit, radiance / rad, and per unit of the m film
         parameters], and the image (batches, n, 3).
     """
+    return start(view, pixels, spp=spp, seed=seed, batches=batches, prepared=prepared)()
+
+
+def start(
+    view: View,
+    pixels: NDArray[np.int64],
+    *,
+    spp: int,
+    seed: int,
+    batches: int,
+    prepared: Prepared | None = None,
+) -> Result:
+    """As `jacobian`, but leaves the paths to be traced in the background until the result is asked for."""
     prepared = prepare(view) if prepared is None else prepared
     baseline = _baseline(view, pixels, seed)
-    values, image = filter_and_view_terms(
-        view, prepared, pixels, baseline, spp=spp, seed=seed, batches=batches
-    )
-    if isinstance(prepared.contours, Contours):
-        values[..., :6] += parallax_term(
-            view, prepared.contours, pixels, baseline, spp=spp, seed=seed, batches=batches
-        )
-    else:
-        for axis in range(3):
-            values[..., axis], _ = finite_difference.column(
-                view, pixels, axis, prepared.contours.steps[axis], spp=spp, seed=seed, batches=batches
-            )
-    return values, image
+    contours = prepared.contours
+    beside: list[NDArray[np.float64]] = []
+    if not isinstance(contours, Contours):
+        beside = [
+            finite_difference.column(view, pixels, axis, step, spp=spp, seed=seed, batches=batches)[0]
+            for axis, step in enumerate(contours.steps[:3])
+        ]
+    elif len(contours.piece):
+        beside = [parallax_term(view, contours, pixels, baseline, spp=spp, seed=seed, batches=batches)]
+    background = filter_and_view_terms(view, prepared, pixels, baseline, spp=spp, seed=seed, batches=batches)
+
+    def result() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        values, image = background()
+        if not isinstance(contours, Contours):
+            values[..., :3] = np.stack(beside, axis=-1)
+        elif beside:
+            values[..., :6] += beside[0]
+        return values, image
+
+    return result
 
 
 def _baseline(view: View, pixels: NDArray[np.int64], seed: int) -> NDArray[np.float64]:
@@ -186,8 +210,8 @@ def filter_and_view_terms(
     spp: int,
     seed: int,
     batches: int,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """As `jacobian`, without what happens at occluding contours.
+) -> Result:
+    """As `start`, without what happens at occluding contours.
 
     Args:
         baseline: (n, 3) Ī_u, any constants near the image that do not come from these random numbers.
@@ -215,11 +239,15 @@ def filter_and_view_terms(
         dr.opaque(mi.UInt32, pairs.kinds if few else 1),
     )
     dr.eval(columns, image)
-    values = np.stack([np.array(component) for column in columns for component in column])
-    # Memory in the order in which the information's sums read it.
-    values = values.reshape(-1, 3, len(pixels), batches).transpose(2, 1, 3, 0)
-    values = np.ascontiguousarray(values, dtype=np.float64).transpose(2, 0, 1, 3)
-    return values, download(image).reshape(3, len(pixels), batches).transpose(2, 1, 0)
+
+    def result() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        values = np.stack([np.array(component) for column in columns for component in column])
+        # Memory in the order in which the information's sums read it.
+        values = values.reshape(-1, 3, len(pixels), batches).transpose(2, 1, 3, 0)
+        values = np.ascontiguousarray(values, dtype=np.float64).transpose(2, 0, 1, 3)
+        return values, download(image).reshape(3, len(pixels), batches).transpose(2, 1, 0)
+
+    return result
 
 
 @dr.syntax  # type: ignore[untyped-decorator]  # Dr.Jit is untyped here
