@@ -196,6 +196,7 @@ class _Search:
         self.measured = image[run.mask]
         self.anchored = False
         self.correction: Array | float = 0.0
+        self.rendered: tuple[Array, Array] | None = None
         if anchor is not None:
             self.tie(anchor)
         if anchor is not None and anchor.jacobian is not None and not self.masked:
@@ -231,9 +232,11 @@ class _Search:
         self.anchored = True
 
     def expected(self, pose: Array) -> Array:
-        """(K, n, 3), K independent estimates of R(x)."""
-        batches, run = self.run.batches, self.run
-        return self._render(pose, run.spp // batches, batches, run.seed) + self.correction
+        """(K, n, 3), K independent estimates of R(x); the last render is kept."""
+        if self.rendered is None or not np.array_equal(pose, self.rendered[0]):
+            batches, run = self.run.batches, self.run
+            self.rendered = pose, self._render(pose, run.spp // batches, batches, run.seed)
+        return self.rendered[1] + self.correction
 
     def _render(self, pose: Array, spp: int, batches: int, seed: int) -> Array:
         from .jacobian.pixels import render_pixels

@@ -56,9 +56,10 @@ class Consistency:
     nees_band: tuple[float, float]
     """Where it lies, at the confidence asked for, if the errors have the bound's covariance."""
     generalized_eigenvalues: Array
-    """(6,), descending, of (S, F⁻¹): 1 is expected; the largest is the worst ratio of variances."""
-    worst_direction: Array
-    """(6,), the camera-frame twist that carries the largest, translation in length scales, of unit norm."""
+    """(6,) λ, descending, of (S, F⁻¹): 1 is expected; the largest is the worst ratio of variances."""
+    directions: Array
+    """(6, 6) D, by rows the camera-frame twists [scene unit, rad] that carry them, each one standard
+    deviation of the bound long: DᵀD = F⁻¹ and Dᵀ diag(λ) D = S."""
     wishart_band: Array
     """(6, 2), where each of them lies; at the joint confidence of all six asked for."""
     coverage: tuple[Coverage, ...]
@@ -82,7 +83,7 @@ class Consistency:
             "nees": self.nees,
             "nees_band": list(self.nees_band),
             "generalized_eigenvalues": self.generalized_eigenvalues.tolist(),
-            "worst_direction": self.worst_direction.tolist(),
+            "directions": self.directions.tolist(),
             "wishart_band": self.wishart_band.tolist(),
             "coverage": [vars(c).copy() for c in self.coverage],
             "bias": self.bias.tolist(),
@@ -116,15 +117,14 @@ def consistency(errors: Array, information: FisherInformation, *, confidence: fl
     root = vectors * np.sqrt(values) @ vectors.T
     whitened = twists / camera.scale @ root
     squares = np.sum(whitened**2, axis=1)
-    ratios, directions = np.linalg.eigh(whitened.T @ whitened / n)
-    worst = np.linalg.solve(root, directions[:, -1])
+    ratios, axes = np.linalg.eigh(whitened.T @ whitened / n)
     low, high = stats.chi2.interval(confidence, 6 * n)
     return Consistency(
         count=n,
         nees=float(squares.mean()),
         nees_band=(float(low) / n, float(high) / n),
         generalized_eigenvalues=ratios[::-1],
-        worst_direction=worst / np.linalg.norm(worst),
+        directions=np.linalg.solve(root, axes[:, ::-1]).T * camera.scale,
         wishart_band=wishart_band(n, confidence),
         coverage=tuple(_coverage(squares, level, confidence) for level in LEVELS),
         bias=np.sqrt(n) * twists.mean(axis=0) / twists.std(axis=0, ddof=1),

@@ -94,6 +94,11 @@ class Validation:
     """Mean of the trials' excess."""
 
     @property
+    def errors(self) -> Array:
+        """(n, 6), of the trials that did not fail."""
+        return np.array([trial.error for trial in self.trials if trial.index not in self.failed])
+
+    @property
     def efficiency(self) -> float:
         """6 / NEES: 1 for an estimator that attains the bound."""
         return 6.0 / self.consistency.nees
@@ -178,9 +183,9 @@ def validate(
     options = {"spp": DEFAULT_SPP, **options}
     named = dict(defines or {})
     loaded = load_scene(scene, **named) if isinstance(scene, str | Path) else scene
-    anchor, jacobian, chosen, label = _expected(loaded, sigma, options)
+    anchor, jacobian, chosen, names = _expected(loaded, sigma, options)
     settings = {
-        "scene": str(scene) if isinstance(scene, str | Path) else label,
+        "scene": str(scene) if isinstance(scene, str | Path) else names["scene"],
         "defines": named,
         "sigma": chosen,
         "perturb_deg": float(perturb_deg),
@@ -188,8 +193,12 @@ def validate(
         "estimator": estimator,
         "levels": levels,
         "iterations": iterations,
-        **{name: jacobian.provenance[name] for name in ("sensor", "method", "seed", "batches", "size")},
+        **{
+            name: jacobian.provenance[name]
+            for name in ("sensor", "method", "seed", "batches", "size", "pixels")
+        },
         "spp": options["spp"],
+        "integrator": names["integrator"],
         "pose": [[round(value, 9) for value in row] for row in anchor.pose.tolist()],
     }
     done = _resumed(resume, settings, trials)
@@ -213,8 +222,8 @@ def validate(
 
 def _expected(
     scene: Any, sigma: float | None, options: MeasurementOptions
-) -> tuple[Anchor, ImageJacobian, float, str]:
-    """The anchor at the truth, the Jacobian there, the noise, and the scene's name."""
+) -> tuple[Anchor, ImageJacobian, float, dict[str, str]]:
+    """The anchor at the truth, the Jacobian there, the noise, and what scene and integrator are called."""
     from .jacobian.pixels import render_pixels
 
     many: MeasurementOptions = {**options, "spp": _EXPECTED_SPP * options["spp"]}
@@ -227,7 +236,8 @@ def _expected(
             run.view, selected(run.mask), spp=run.spp, seed=run.seed, purpose=_EXPECTED
         )[0]
         jacobian = run.jacobian()
-        return Anchor(run.view.pose, image, jacobian), jacobian, model.sigma, run.view.label
+        names = {"scene": run.view.label, "integrator": " ".join(str(run.view.integrator).split())}
+        return Anchor(run.view.pose, image, jacobian), jacobian, model.sigma, names
 
 
 def _run(work: tuple[_Setup, list[int]]) -> list[Trial]:

@@ -27,8 +27,7 @@ def validation_figure(result: Validation) -> Figure:
     figure = Figure(figsize=(12.0, 4.2), facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, 3)
-    good = [t.error for t in result.trials if t.index not in result.failed]
-    errors = np.array(good)
+    errors = result.errors
     F = result.bound.information.to_frame("camera").matrix
     squares = np.einsum("ni,ij,nj->n", errors, F, errors)
     draw_calibration(axes[0], squares)

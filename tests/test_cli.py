@@ -533,3 +533,5 @@ def test_validate_prints_and_writes_what_it_found(tmp_path, scenes, capsys):
     assert cli.run(["validate", wall, *options, *outputs, "--seed", "1"]) == 2
     assert "name another file" in capsys.readouterr().err
     assert files["json"].read_bytes() == before
+    assert cli.run(["validate", wall, *options, "--trials", "0"]) == 2
+    assert "at least 7 trials" in capsys.readouterr().err

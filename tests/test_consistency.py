@@ -69,8 +69,14 @@ def test_the_frame_does_not_matter_and_the_worst_direction_is_found() -> None:
     errors += 6.0 * sigma * rng.standard_normal((400, 1)) * direction
     found, same = (consistency(errors, i) for i in (information, information.to_frame("world")))
     np.testing.assert_allclose(found.generalized_eigenvalues, same.generalized_eigenvalues, rtol=1e-6)
-    assert abs(found.worst_direction @ direction) > 0.95
+    worst = found.directions[0]
+    assert abs(worst @ direction) > 0.95 * np.linalg.norm(worst)
     assert found.generalized_eigenvalues[0] > 20.0
+    D, S = found.directions, errors.T @ errors / 400
+    np.testing.assert_allclose(D.T @ D @ information.matrix, np.eye(6), atol=1e-8)
+    np.testing.assert_allclose(
+        D.T * found.generalized_eigenvalues @ D, S, rtol=1e-6, atol=1e-8 * np.abs(S).max()
+    )
 
 
 def test_a_bias_shows() -> None:
