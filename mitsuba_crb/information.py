@@ -34,7 +34,7 @@ from .errors import FrameError, NoiseError, OptionError, PixelsError, RadianceEr
 from .noise import CoupledNoise, NoiseModel
 from .se3 import Array, Frame
 from .symmetric import congruence, entries, positive_part, symmetrised, unpack
-from .ustatistic import VarianceComponents, gram, square_root, unit_products, whiten
+from .ustatistic import VarianceComponents, gram, pixel_products, square_root, unit_products, whiten
 
 BLOCK = 8
 """Side [pixel] of the film blocks, on a fixed grid (x // 8, y // 8), whose pixels may share samples.
@@ -379,7 +379,7 @@ class InformationAccumulator:
             self._plain += gram(whitened.mean(axis=2).reshape(-1, self._columns))
             own = starts[low : high + 1] - starts[low]
             if self._sampled:
-                each = unit_products(whitened, np.arange(len(whitened) + 1))
+                each = pixel_products(whitened)
                 units = np.add.reduceat(each, own[:-1], axis=-1)
                 means = self._pixels.add(each) if self._block > 1 else each.mean(axis=0)
                 self._pixel_squares += gram(means.T)

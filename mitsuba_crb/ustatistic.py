@@ -136,3 +136,16 @@ def unit_products(whitened: Array, starts: NDArray[np.intp]) -> Array:
     products = grams.reshape(-1, K, P, K, P)
     pairs = combinations(range(K), 2)
     return np.stack([pack(symmetrised(products[:, k, :, j, :])).T for k, j in pairs])
+
+
+def pixel_products(whitened: Array) -> Array:
+    """As `unit_products`, of units of one pixel each: long sums over pixels, not many small matrices."""
+    K, P = whitened.shape[2:]
+    columns = np.ascontiguousarray(whitened.transpose(2, 1, 3, 0))
+    products = np.zeros((K * (K - 1) // 2, entries(P), len(whitened)))
+    for product, (k, j) in zip(products, combinations(range(K), 2), strict=True):
+        for a, b in zip(columns[k], columns[j], strict=True):
+            rows = np.split(product, np.cumsum(np.arange(P, 1, -1)))
+            for i, row in enumerate(rows):
+                row += a[i] * b[i:] + a[i:] * b[i]
+    return 0.5 * products

