@@ -4,6 +4,7 @@
     python benchmarks/jacobian.py --quick              # small images, a minute
     python benchmarks/jacobian.py --only sides cold    # some of: sides precision pixels subset cold
     python benchmarks/jacobian.py --sizes 64 512       # sides of the images of "sides"
+    python benchmarks/jacobian.py --scenes boxes       # some of the scenes of "sides"; by default all four
 
 sides: one `mi.render` with the film's gaussian filter and one with a box film, the paths alone
 (`render_pixels`, the floor of any method), `pose_jacobian` and `pose_bound` by flow, and on small images
@@ -46,6 +47,7 @@ ROOT = Path(__file__).parents[1]
 PARTS = ("sides", "precision", "pixels", "subset", "cold")
 DIFFUSE = ("textured_room", "textured_wall", "boxes")
 GLOSSY = "textured_wall, rough conductor"
+SCENES = (*DIFFUSE, GLOSSY)
 ROUNDS = 5
 console = Console(width=140)
 
@@ -108,10 +110,10 @@ def paths_alone(scene: Any, size: int, spp: int) -> Callable[[], None]:
     return trace
 
 
-def sides(sizes: list[int], spp: int) -> list[dict[str, Any]]:
+def sides(names: list[str], sizes: list[int], spp: int) -> list[dict[str, Any]]:
     """Renders, paths, Jacobian and bound, in turns."""
     rows = []
-    for name in (*DIFFUSE, GLOSSY):
+    for name in names:
         for size in sizes:
             scene, box = opened(name, size), opened(name, size, box=True)
             calls: dict[str, Callable[[], object]] = {
@@ -295,13 +297,14 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="small images")
     parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
     parser.add_argument("--sizes", nargs="+", type=int, default=None, help="default 64 256 512 1024")
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=SCENES, metavar="SCENE")
     parser.add_argument("--spp", type=int, default=64)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     size = 128 if options.quick else 512
     sizes = options.sizes or ([64, 128] if options.quick else [64, 256, 512, 1024])
     runs: dict[str, Callable[[], list[dict[str, Any]]]] = {
-        "sides": lambda: sides(sizes, options.spp),
+        "sides": lambda: sides(options.scenes, sizes, options.spp),
         "precision": lambda: precision(size // 2, options.spp),
         "pixels": lambda: pixels(256 if options.quick else 2048),
         "subset": lambda: subset(512 if options.quick else 2048),
