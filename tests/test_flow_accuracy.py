@@ -55,7 +55,7 @@ def test_intervals_cover_where_contours_share_samples(scenes: Path) -> None:
     intervals cover in 90 to 99 %, each entry's and the trace's, and standard errors are the scatter within
     15 % (the scatter of 200 values is uncertain by 5 %, with the tails of smooth rims by more)."""
     boxes = scenes / "boxes" / "boxes.xml"
-    truth, _ = _diagonal_and_trace(pose_bound(boxes, SIGMA, spp=1024, seed=10**6).information)
+    truth, _ = _diagonal_and_trace(pose_bound(boxes, SIGMA, spp=4096, seed=10**6).information)
     runs = [
         _diagonal_and_trace(pose_bound(boxes, SIGMA, spp=16, seed=seed).information) for seed in range(200)
     ]
