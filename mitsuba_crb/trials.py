@@ -14,6 +14,7 @@ apart.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import warnings
 from collections.abc import Callable, Mapping
@@ -244,8 +245,14 @@ def _run(work: tuple[_Setup, list[int]]) -> list[Trial]:
     setup, indices = work
     scene = setup.scene
     if isinstance(scene, str | Path):
-        scene = load_scene(scene, **setup.defines)
+        scene = _loaded(str(scene), *setup.defines.items())
     return [_trial(setup, scene, index) for index in indices]
+
+
+@functools.lru_cache(maxsize=1)
+def _loaded(scene: str, *defines: tuple[str, str]) -> Any:
+    """A process loads its scene once: the first render of a loaded scene costs as much as a trial."""
+    return load_scene(scene, **dict(defines))
 
 
 def _trial(setup: _Setup, scene: Any, index: int) -> Trial:
