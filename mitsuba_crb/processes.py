@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from typing import Any, TypeVar
 
 from .errors import OptionError, WorkerError
@@ -71,3 +71,12 @@ def _interrupts_ignored() -> Iterator[None]:
 def _die_quietly() -> None:
     # Ctrl-C reaches all processes of a terminal: the parent says so, once.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    # A parent that is killed cannot say so: its workers would wait for ever.
+    threading.Thread(target=_die_with_parent, daemon=True).start()
+
+
+def _die_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
