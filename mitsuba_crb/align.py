@@ -33,13 +33,13 @@ from scipy import ndimage
 
 from . import se3
 from .bound import PoseBound, cramer_rao_bound
-from .errors import AlignmentError, NoiseError, PrecisionWarning
+from .errors import AlignmentError, NoiseError, OutOfViewError, PrecisionWarning
 from .information import ImageJacobian, PixelSelection, fisher_information
 from .measure import Measurement, MeasurementOptions, measurement
 from .noise import CoupledNoise, IndependentNoise, NoiseModel
-from .scene import as_scene
+from .scene import as_scene, open_view
 from .se3 import Array
-from .subset import selected
+from .subset import is_mask, read_mask, selected
 
 Status = Literal["converged", "diverged", "out of iterations"]
 ESTIMATORS = ("gauss_newton", "levenberg_marquardt", "adam")
@@ -137,27 +137,32 @@ def align(
         `Alignment`; look at its `status` first.
 
     Raises:
-        AlignmentError: the image has the wrong shape or nothing finite, the start sees nothing of the scene,
-            or an unknown estimator.
+        AlignmentError: the image has the wrong shape or nothing finite, or an unknown estimator.
+        OutOfViewError: the start sees nothing of the scene.
         NoiseError: the noise couples pixels or channels.
         MitsubaCRBError: as `pose_jacobian`.
     """
     measured = _checked_image(image)
     _check_arguments(estimator, iterations, levels)
-    options["size"] = _size(measured, options.get("size"))
     loaded, _ = as_scene(scene)
+    options["size"] = _size(measured, options.get("size"), loaded, options.get("sensor", 0))
     damping = _DAMPING if estimator == "levenberg_marquardt" else 0.0
     count = 0
+    fine, pixels = measured, options.get("pixels")
+    if levels and is_mask(pixels):
+        mask, _ = read_mask(pixels, measured.shape[:2])
+        fine, pixels = np.where(mask[..., None], measured, np.nan), None
     for level in range(levels, 0, -1):
-        small = reduced(measured, 2**level)
-        if min(small.shape[:2]) < _COARSEST:
+        small = reduced(fine, 2**level)
+        if min(small.shape[:2]) < _COARSEST or not np.isfinite(small).any():
             continue
-        coarse: MeasurementOptions = {**options, "size": (small.shape[1], small.shape[0])}
+        coarse: MeasurementOptions = {**options, "size": (small.shape[1], small.shape[0]), "pixels": pixels}
         with measurement(loaded, **coarse) as run:
             search = _Search(run, small, noise, None)
-            pose, _, steps = search.least_squares(run.view.pose, damping, iterations)
-            options["pose"] = pose
+            pose, status, steps = search.least_squares(run.view.pose, damping, iterations)
             count += steps
+        if status != "diverged":
+            options["pose"] = pose
     with measurement(loaded, **options) as run:
         run.warn_of_limits()
         search = _Search(run, measured, noise, anchor)
@@ -205,7 +210,7 @@ class _Search:
             self._use(run.jacobian())
         self.differentiate(run.view.pose)
         if not np.diagonal(self.plain).all():
-            raise AlignmentError(
+            raise OutOfViewError(
                 "from the start pose the image does not depend on the pose: the scene is out of view; start "
                 "nearer"
             )
@@ -426,10 +431,22 @@ def _checked_image(image: ArrayLike) -> Array:
     return values
 
 
-def _size(image: NDArray[Any], size: tuple[int, int] | None) -> tuple[int, int]:
+def _size(
+    image: NDArray[Any], size: tuple[int, int] | None, scene: Any, sensor: int | str
+) -> tuple[int, int]:
+    """The image's size; one that the film's shape does not explain must be confirmed."""
     height, width = image.shape[:2]
     if size is not None and tuple(size) != (width, height):
         raise AlignmentError(f"the measured image is {width}x{height}, and size says {size[0]}x{size[1]}")
+    if size is None:
+        with open_view(scene, sensor=sensor) as view:
+            across, down = view.size
+        # As close to the film's shape as whole pixels can be.
+        if abs(width * down - height * across) >= max(across, down):
+            raise AlignmentError(
+                f"the measured image is {width}x{height}, the film {across}x{down}, another field of view; "
+                f"say size=({width}, {height}) if the sensor shall have it"
+            )
     return width, height
 
 

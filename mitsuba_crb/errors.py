@@ -103,6 +103,10 @@ class AlignmentError(MitsubaCRBError):
     """A pose cannot be estimated from this image: its shape, its pixels or the start are at fault."""
 
 
+class OutOfViewError(AlignmentError):
+    """From the start pose the image does not depend on the pose."""
+
+
 class TrialError(MitsubaCRBError):
     """Monte Carlo trials cannot be run, resumed or judged: their number, settings or bound are at fault."""
 

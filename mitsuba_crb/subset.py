@@ -26,6 +26,12 @@ def everything(size: tuple[int, int]) -> PixelSelection:
     return PixelSelection("all", total, total, "all")
 
 
+def is_mask(pixels: Any) -> bool:
+    """Whether a choice names its pixels, for one size of image, instead of a fraction of them."""
+    whole = pixels is None or (isinstance(pixels, str) and pixels == "all")
+    return not (whole or (isinstance(pixels, str) and pixels.split(":")[0] in ("random", "gradient")))
+
+
 def choose(
     pixels: Any, size: tuple[int, int], seed: int, pilot_image: Callable[[], NDArray[np.float64]]
 ) -> tuple[NDArray[np.bool_], PixelSelection]:
@@ -48,7 +54,7 @@ def choose(
     width, height = size
     if pixels is None or (isinstance(pixels, str) and pixels == "all"):
         return np.ones((height, width), dtype=bool), whole
-    if isinstance(pixels, str) and pixels.split(":")[0] in ("random", "gradient"):
+    if not is_mask(pixels):
         rule, count = _parse_fraction(pixels, whole.total)
         if count == whole.total:
             return np.ones((height, width), dtype=bool), whole
@@ -61,7 +67,7 @@ def choose(
         return mask.reshape(height, width), PixelSelection(
             "random" if rule == "random" else "only", whole.total, count, pixels
         )
-    mask, description = _read_mask(pixels, (height, width))
+    mask, description = read_mask(pixels, (height, width))
     return mask, PixelSelection("only", whole.total, int(mask.sum()), description)
 
 
@@ -82,7 +88,8 @@ def _parse_fraction(text: str, total: int) -> tuple[str, int]:
     return rule, max(1, round(fraction * total))
 
 
-def _read_mask(pixels: Any, shape: tuple[int, int]) -> tuple[NDArray[np.bool_], str]:
+def read_mask(pixels: Any, shape: tuple[int, int]) -> tuple[NDArray[np.bool_], str]:
+    """A mask of this shape (height, width), from an array or an image's path, and what to call it."""
     description = "mask"
     if isinstance(pixels, str | os.PathLike):
         path = Path(pixels)

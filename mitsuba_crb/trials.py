@@ -28,7 +28,7 @@ from . import se3
 from .align import Anchor, Status, align
 from .bound import PoseBound, cramer_rao_bound
 from .consistency import Consistency, consistency
-from .errors import PrecisionWarning, TrialError
+from .errors import OutOfViewError, PrecisionWarning, TrialError
 from .files import atomic
 from .information import ImageJacobian, fisher_information
 from .measure import MeasurementOptions, measurement
@@ -274,18 +274,24 @@ def _trial(setup: _Setup, scene: Any, index: int) -> Trial:
         "seed": int(rng.integers(1 << 62)),
         "pixels": np.isfinite(image).all(axis=2),
     }
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        found = align(
-            scene,
-            measured,
-            Gaussian(setup.sigma),
-            estimator=settings["estimator"],
-            levels=settings["levels"],
-            iterations=settings["iterations"],
-            anchor=setup.anchor,
-            **options,
-        )
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = align(
+                scene,
+                measured,
+                Gaussian(setup.sigma),
+                estimator=settings["estimator"],
+                levels=settings["levels"],
+                iterations=settings["iterations"],
+                anchor=setup.anchor,
+                **options,
+            )
+    except OutOfViewError:
+        # The start was drawn behind a wall, say. Its residual is that of a black image.
+        error = se3.log(se3.inverse(truth) @ start)
+        residual = float(np.sqrt(np.nanmean((measured / setup.sigma) ** 2)))
+        return Trial(index, "diverged", tuple(error.tolist()), residual, 0, 0.0)
     error = se3.log(se3.inverse(truth) @ found.pose)
     return Trial(index, found.status, tuple(error.tolist()), found.residual, found.iterations, found.excess)
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy import stats
 from small_scenes import camera, scene, texture, textured_wall, wall
 
 from mitsuba_crb import se3
@@ -14,6 +16,7 @@ from mitsuba_crb.errors import AlignmentError
 from mitsuba_crb.jacobian.pixels import render_pixels
 from mitsuba_crb.noise import Gaussian
 from mitsuba_crb.scene import as_scene, open_view
+from mitsuba_crb.trials import validate
 
 SIGMA = Gaussian(0.01)
 SIZE = (32, 24)
@@ -92,6 +95,24 @@ def test_levels_reach_further(textured: Any, truth: Anchor) -> None:
     assert reached[1] > reached[0]
 
 
+@pytest.mark.slow
+def test_nearby_starts_find_the_truth_in_a_furnished_room(scenes: Path) -> None:
+    """Within 2 degrees and a twentieth of the depth, in at least 90 % of cases."""
+    depth = 4.07
+    path = scenes / "textured_room" / "textured_room.xml"
+    options: dict[str, Any] = {"size": (48, 36), "spp": 32, "sigma": 0.04, "seed": 11}
+    found = validate(path, trials=48, perturb_deg=2.0, perturb_trans=0.05 * depth, **options)
+    information = found.bound.information.to_frame("camera")
+    assert information.length_scale == pytest.approx(depth, rel=0.01)
+    right = 0
+    for trial in found.trials:
+        error = np.array(trial.error)
+        nees = float(error @ information.matrix @ error)
+        right += trial.status == "converged" and nees < 28.0 * (1.0 + trial.excess)
+    # 47 of 48 or more: were the rate 90 %, that would be one case in twenty-five.
+    assert stats.binomtest(right, len(found.trials), 0.9, alternative="greater").pvalue < 0.05
+
+
 def test_inerfs_recipe_comes_close(textured: Any, truth: Anchor) -> None:
     """In what the image shows: along the valley of the weakest direction a first-order method creeps."""
     options: dict[str, Any] = {"anchor": truth, "spp": 16, "pose": _start(truth, 0.05, 1.0)}
@@ -110,6 +131,34 @@ def test_pixels_that_are_not_finite_are_counted_and_left_out(textured: Any, trut
     assert found.masked == 16
     assert found.status == "converged"
     assert _nees(found, truth) < 28.0 * (1.0 + found.excess)
+
+
+def test_what_a_mask_leaves_out_matters_on_no_level(textured: Any, truth: Anchor) -> None:
+    mask = np.ones((SIZE[1], SIZE[0]), dtype=bool)
+    mask[:, 20:] = False
+    poses = []
+    for value in (0.0, 1000.0):
+        image = np.where(mask[..., None], _measured(truth), value)
+        found = align(
+            textured,
+            image,
+            SIGMA,
+            anchor=truth,
+            spp=16,
+            pose=_start(truth, 0.1, 3.0),
+            pixels=mask,
+            levels=1,
+        )
+        assert _nees(found, truth) < 28.0 * (1.0 + found.excess)
+        poses.append(found.pose)
+    np.testing.assert_array_equal(*poses)
+
+
+def test_an_image_of_another_shape_can_be_confirmed(textured: Any, truth: Anchor) -> None:
+    """Its sides' ratio sets the vertical field of view."""
+    image = _measured(truth)[2:22]
+    found = align(textured, image, SIGMA, spp=8, iterations=1, size=(32, 20))
+    assert found.masked == 0
 
 
 def test_the_estimate_is_not_biased_by_the_renderers_noise(textured: Any, truth: Anchor) -> None:
@@ -149,6 +198,8 @@ def test_a_reduced_image_is_what_a_smaller_film_measures() -> None:
     ("change", "message"),
     [
         ({"image": np.zeros((24, 32))}, r"\(H, W, 3\)"),
+        ({"image": np.zeros((24, 32, 4))}, r"\(H, W, 3\)"),
+        ({"image": np.ones((24, 24, 3))}, "24x24, the film 32x24"),
         ({"image": np.full((24, 32, 3), np.nan)}, "no pixel"),
         ({"size": (16, 12)}, "32x24"),
         ({"estimator": "newton"}, "gauss_newton"),

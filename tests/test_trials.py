@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 from small_scenes import textured_wall
 
+from mitsuba_crb import trials
+from mitsuba_crb.align import align
 from mitsuba_crb.consistency import Consistency, consistency
-from mitsuba_crb.errors import OptionError, TrialError
+from mitsuba_crb.errors import OptionError, OutOfViewError, TrialError
 from mitsuba_crb.trials import SCHEMA, validate
 
 OPTIONS: dict[str, Any] = {"size": (16, 12), "spp": 32, "sigma": 0.005, "perturb_deg": 0.2, "seed": 5}
@@ -121,6 +123,24 @@ def test_far_starts_fail_and_are_counted_apart() -> None:
     assert found.consistency.count == 30 - len(found.failed)
     # Those that are left are right: no one of them is at a wrong minimum.
     assert found.consistency.nees < 6.0 * 3.0
+
+
+def test_a_start_that_sees_nothing_is_a_failed_trial(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And every trial may go through levels."""
+    seen: list[int] = []
+
+    def behind_the_wall(*args: Any, **options: Any) -> Any:
+        seen.append(options["levels"])
+        if len(seen) == 3:
+            raise OutOfViewError("nothing to be seen")
+        return align(*args, **options)
+
+    monkeypatch.setattr(trials, "align", behind_the_wall)
+    found = validate(textured_wall(), trials=8, levels=1, **(OPTIONS | {"size": (32, 24), "spp": 16}))
+    assert seen == [1] * 8
+    assert found.failed == (2,)
+    assert found.trials[2].status == "diverged"
+    json.dumps(found.to_dict(), allow_nan=False)
 
 
 @pytest.mark.parametrize(
