@@ -82,7 +82,7 @@ def main() -> None:
         size=SIZE,
         spp=SPP,
     )
-    errors = np.array([trial.error for trial in found.trials if trial.index not in found.failed])
+    errors = found.errors
     judged = {m: consistency(errors, b.information, confidence=CONFIDENCE) for m, b in both.items()}
     sample = np.sqrt(np.mean(axes_of(both["flow"].information.pose, errors) ** 2, axis=0))
     n = len(errors)

@@ -48,8 +48,7 @@ def test_an_estimator_violates_forwards_bound_and_attains_flows() -> None:
         scene, trials=40, sigma=SIGMA, perturb_deg=0.2, perturb_trans=0.02, size=SIZE, spp=128, seed=3
     )
     assert found.failed == ()
-    errors = np.array([trial.error for trial in found.trials])
-    beaten, met = (consistency(errors, bound.information, confidence=0.999) for bound in (blind, right))
+    beaten, met = (consistency(found.errors, bound.information, confidence=0.999) for bound in (blind, right))
     # A sample of an estimator that obeys the bound is nowhere below this band but once in a thousand times.
     assert np.all(beaten.generalized_eigenvalues < beaten.wishart_band[:, 0])
     assert np.all(met.generalized_eigenvalues > met.wishart_band[:, 0])
