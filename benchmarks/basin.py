@@ -1,6 +1,6 @@
 """From how far away an alignment finds the truth, and how long it takes.
 
-    python benchmarks/basin.py     # 10 to 15 minutes on 2 quiet cores; writes figures/basin.csv and basin.png
+    python benchmarks/basin.py     # about 10 minutes on 2 cores; writes CSV and PNG into figures/
 
 `textured_room` at 48x36 pixels, 32 paths per pixel, Gaussian noise of sigma 0.04 [radiance], a new noisy
 image for each start. Gauss–Newton and Levenberg–Marquardt, on the image alone and after two images each

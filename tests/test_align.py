@@ -97,11 +97,11 @@ def test_levels_reach_further(textured: Any, truth: Anchor) -> None:
 
 @pytest.mark.slow
 def test_nearby_starts_find_the_truth_in_a_furnished_room(scenes: Path) -> None:
-    """Within 2 degrees and a twentieth of the depth, in at least 90 % of cases."""
+    """From within 2 degrees and a twentieth of the depth, by way of one reduced image, in over 90 % of cases."""
     depth = 4.07
     path = scenes / "textured_room" / "textured_room.xml"
-    options: dict[str, Any] = {"size": (48, 36), "spp": 32, "sigma": 0.04, "seed": 11}
-    found = validate(path, trials=48, perturb_deg=2.0, perturb_trans=0.05 * depth, **options)
+    options: dict[str, Any] = {"size": (48, 36), "spp": 32, "sigma": 0.04, "seed": 11, "levels": 1}
+    found = validate(path, trials=48, perturb_deg=2.0, perturb_trans=0.05 * depth, workers=2, **options)
     information = found.bound.information.to_frame("camera")
     assert information.length_scale == pytest.approx(depth, rel=0.01)
     right = 0
