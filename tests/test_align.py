@@ -97,7 +97,7 @@ def test_levels_reach_further(textured: Any, truth: Anchor) -> None:
 
 @pytest.mark.slow
 def test_nearby_starts_find_the_truth_in_a_furnished_room(scenes: Path) -> None:
-    """From within 2 degrees and a twentieth of the depth, by way of one reduced image, in over 90 % of cases."""
+    """Within 2 degrees and a twentieth of the depth, by way of one reduced image, in over 90 % of cases."""
     depth = 4.07
     path = scenes / "textured_room" / "textured_room.xml"
     options: dict[str, Any] = {"size": (48, 36), "spp": 32, "sigma": 0.04, "seed": 11, "levels": 1}
