@@ -107,7 +107,14 @@ def test_flow_and_divergence_are_those_of_the_sensor_model(sensor: dict[str, Any
         def closed(gradient: tuple[float, float], value: float) -> np.ndarray:
             half = PairSample(mi.Point2f(0.0, 0.0), mi.Vector2f(*gradient), mi.Float(value))
             got = flow._divergences(
-                half, ray, lens, mi.Bool(True), distance, mi.Vector3f(list(normal)), focal
+                half,
+                ray,
+                lens,
+                mi.Bool(True),
+                mi.Bool(False),
+                distance,
+                mi.Vector3f(list(normal)),
+                focal,
             )
             return np.stack([np.broadcast_to(np.array(x, dtype=np.float64), 3) for x in got], axis=-1)
 
@@ -126,11 +133,36 @@ def test_a_plane_through_the_lens_point_gives_no_infinity(normal: tuple[float, f
         ray,
         mi.Point3f(0.0),
         mi.Bool(True),
+        mi.Bool(False),
         mi.Float(2.0),
         mi.Vector3f(list(normal)),
         mi.Vector2f(30.0, 30.0),
     )
     assert all(np.isfinite(np.array(value)).all() for value in got)
+
+
+def test_a_rim_weighs_its_mean_where_rounding_decides_its_slant() -> None:
+    """Film distance from a sphere's rim is the square of its slant; uniform distances, mean weight to 1 %."""
+    n, width = 1 << 16, 100.0 * flow.RIM
+    slant = width * np.sqrt((np.arange(n) + 0.5) / n)
+    half = PairSample(mi.Point2f(0.0, 0.0), mi.Vector2f(0.0, 0.0), mi.Float(1.0))
+    ray = mi.Ray3f(mi.Point3f(0.0), mi.Vector3f(0.0, 0.0, 1.0))
+    normal = mi.Vector3f(mi.Float(np.sqrt(1.0 - slant**2)), 0.0, mi.Float(slant))
+    mean = 2.0 / width
+    for curved, largest in ((True, 2.0 / flow.RIM), (False, 1.0 / slant[0])):
+        got = flow._divergences(
+            half,
+            ray,
+            mi.Point3f(0.0),
+            mi.Bool(True),
+            mi.Bool(curved),
+            mi.Float(1.0),
+            normal,
+            mi.Vector2f(1.0, 1.0),
+        )
+        weights = -np.array(got[0], dtype=np.float64)
+        assert weights.mean() == pytest.approx(mean, rel=0.01)
+        assert weights.max() == pytest.approx(largest, rel=0.01)
 
 
 # Pairs

@@ -14,7 +14,8 @@ The filter term needs radiance only, not its derivative, so it is exact for edge
 kind and for every integrator. Rays that escape see points at infinity, ρ_a = 0. The constant Ī_u (from a
 pilot render, the same for all batches) costs no bias: the three terms of L = 1 add up to zero. The pixels of
 a block share out their random numbers evenly (`EvenNumbers`), so it is blocks whose errors are independent.
-At rims ∇·f grows as 1/√distance: finite mean, no clamping. Participating media and the ellipsoids of radiance
+At rims ∇·f grows as 1/√distance: finite mean, no clamping; only where float32 decides how nearly a sphere is
+edge-on, its mean there is taken. Participating media and the ellipsoids of radiance
 fields have no points to follow: rotation needs none, translation is left to finite differences.
 
 Source: design section 4.1; Zhang et al. 2020, Path-Space Differentiable Rendering, for the material form.
@@ -64,6 +65,8 @@ Result: TypeAlias = "Callable[[], tuple[NDArray[np.float64], NDArray[np.float64]
 _USES = 4
 _FILM, *_OF_PATHS = range(_USES)
 """What `EvenNumbers` are for: film offsets; lens points, emitters and directions at the first surface."""
+RIM = 1e-3
+"""n·q/|q| of a curved surface below which rounding decides: a tangent hit is exact to its root only."""
 PILOT_SPP = 4
 PILOT_CELL = 2
 """The baseline Ī_u comes from this many paths through one pixel of every cell [pixel]: antithetic pairs leave
@@ -310,7 +313,8 @@ def _sum_pairs(
         distance = to_lens + dr.dot(seen.hit.p - world_ray.o, world_ray.d)
         normal = world_to_camera @ mi.Vector3f(seen.hit.n)
         valid = seen.hit.is_valid()
-        weights = _divergences(half, ray, lens, valid, distance, normal, prepared.focal)
+        curved = valid & ~seen.hit.shape.is_mesh()
+        weights = _divergences(half, ray, lens, valid, curved, distance, normal, prepared.focal)
         weights += [_film_divergence(half, film, flow) for flow in prepared.film_flows]
         for k in range(len(weights)):
             columns[k] += (light - baseline) * weights[k]
@@ -357,6 +361,7 @@ def _divergences(
     ray: mi.Ray3f,
     lens: mi.Point3f,
     valid: mi.Bool,
+    curved: mi.Bool,
     distance: mi.Float,
     normal: mi.Vector3f,
     focal: mi.Vector2f,
@@ -366,6 +371,7 @@ def _divergences(
     Args:
         ray, lens, normal: in the camera frame.
         valid, distance: whether the ray hits, and how far from the lens point [scene unit].
+        curved: whether what it hits may be curved, so that its normal is as inexact as the hit.
         focal: d(film)/d(tangent plane), so that focal·∇h is the gradient on the tangent plane.
     """
     h = half.value
@@ -375,6 +381,8 @@ def _divergences(
     # n q_z/(n·q); a plane through the lens point has no film area, so its value does not matter.
     slant = dr.dot(normal, ray.d) / ray.d.z
     m = dr.select(dr.abs(slant) > 0.0, normal / slant, 0.0)
+    # Film distance from a rim grows as slant²: below RIM the mean of 1/slant is 2/RIM.
+    m = dr.select(curved & (dr.abs(slant) < RIM), normal * dr.mulsign(2.0 / RIM, slant), m)
     rho = [
         -inverse_depth * (gx + h * m.x),
         -inverse_depth * (gy + h * m.y),
