@@ -1,6 +1,7 @@
 """Many-sample references of the Fisher information, by finite differences, for tests/test_flow_table.py.
 
     python benchmarks/reference.py sphere mirror --seeds 0 1 2 3     # or --all
+    python benchmarks/reference.py --all --compare                   # flow beside them, a few minutes
 
 Central differences at steps h and 2h with the same random numbers, dI/dξ = (4 D(h) − D(2h))/3 + O(h⁴): for
 white texture under the default filter the information is low by about 4 h⁴, 0.1 % at 0.12 pixels. Box and
@@ -22,6 +23,8 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
+from rich.table import Table
 
 from mitsuba_crb.errors import PrecisionWarning
 from mitsuba_crb.information import FisherInformation, fisher_information
@@ -32,7 +35,8 @@ from mitsuba_crb.noise import Gaussian
 TESTS = Path(__file__).parents[1] / "tests"
 sys.path.insert(0, str(TESTS))
 
-from flow_scenes import ROWS, digest  # noqa: E402
+from flow_scenes import OTHERS, ROWS, digest  # noqa: E402
+from test_flow_table import compared  # noqa: E402
 
 FOLDER = TESTS / "references"
 SIGMA = 0.01
@@ -107,16 +111,33 @@ def run(name: str, *, spp: int, seed: int, step: float) -> None:
     )
 
 
+def compare(names: list[str]) -> None:
+    """Flow beside the references, in per cent: what tests/test_flow_table.py asserts."""
+    table = Table("scene", "paths", "error", "diagonal", "off-diagonal")
+    for name in names:
+        difference, error = compared(name, ROWS[name].spp)
+        worst = np.abs(difference)
+        off = worst[~np.eye(6, dtype=bool)].max()
+        numbers = (np.diag(error).max(), np.diag(worst).max(), off)
+        table.add_row(name, str(ROWS[name].spp), *(f"{100.0 * number:.2f}" for number in numbers))
+    Console(width=80).print(table)
+
+
 def main() -> None:
-    """Make or continue references."""
+    """Make, continue or use references."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("names", nargs="*", choices=[[], *ROWS], metavar="NAME")
     parser.add_argument("--all", action="store_true", help="every scene of the table")
+    parser.add_argument("--compare", action="store_true", help="make none, compare flow with them")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--spp", type=int, default=16384)
     parser.add_argument("--step", type=float, default=0.12, help="h [pixel]")
     arguments = parser.parse_args()
     warnings.simplefilter("ignore", PrecisionWarning)
+    if arguments.compare:
+        known = [name for name in ROWS if OTHERS.is_dir() or not name.startswith("real_")]
+        compare(known if arguments.all else arguments.names)
+        return
     FOLDER.mkdir(exist_ok=True)
     for seed in arguments.seeds:
         for name in ROWS if arguments.all else arguments.names:
