@@ -1,10 +1,25 @@
 """The paper's calibration figure on our scenes: are the errors of an estimator what the bound says?
 
-    python benchmarks/paper/calibration.py     # an hour on 2 cores; writes CSV and PNG beside it
+    python benchmarks/paper/calibration.py     # half an hour on 2 cores; writes CSV and PNG beside it
 
 Trials of Gauss–Newton (`mitsuba_crb.trials`) at 32 x 24 pixels, starts within 0.2 degrees and 1 cm, in
 `textured_room` (high texture) and `plain_room` (low texture). Both show direct light only, here by four
 samples of the window per path. Trials are kept in `trials/` as they end; the same command resumes there.
+`calibration.csv` has what is judged, with bands, beside the bound of the noise and, as a negative control, of
+half of it; `directions.csv` names the directions of the variance ratios, one standard deviation of the bound
+along each.
+
+High SNR (sigma 0.05): three times 400 trials in the textured room have NEES 6.04, 6.19 and 6.05 for 6; every
+ratio of variances and every coverage is inside its 95 % band. So are those of 200 trials in the plain room:
+no direction carries an excess (empirical over bound 0.97 to 1.00 by axis), since what texture does not tell
+is in the bound already. Beside the bound of half the noise all fail. At sigma 0.01 the renderer's noise, a
+staircase as edges cross samples, is larger beside the sensor's (excess 5 %), and 60 trials in each scene,
+with the same noise, lie at the edge of the 95 % band, roll and y 1.1 to 1.3 times the bound.
+
+Low SNR: errors have the bound's size as long as the search ends, up to sigma 2, with tails first: at 0.8,
+93 % are inside the region of 99 %. Gauss–Newton takes the image to be linear in the pose; where the bound
+itself is as wide as the scene (a metre, 15 degrees, at sigma 6) it is not. Three in four searches are lost
+there; those left, near the start by selection, say nothing of the bound.
 """
 
 from __future__ import annotations
@@ -73,6 +88,8 @@ OTHER_SNR = (
     *TABLE,
     Run("high texture", 0.2, trials=100, spp=128),
     Run("high texture", 0.8, trials=60, spp=128),
+    Run("high texture", 2.0, trials=60, spp=64),
+    Run("high texture", 6.0, trials=40, spp=64),
 )
 
 
@@ -184,7 +201,7 @@ def draw_ratios(ax: Axes, results: dict[Run, Validation]) -> None:
         ax.plot(place, found.generalized_eigenvalues, "o", color=colour, label=run.scene)
         for x, top, line in zip(place, found.wishart_band[:, 1], directions(run, result), strict=True):
             ax.text(x, top + 0.03, line["direction"], rotation=90, fontsize=8, ha="center", va="bottom")
-    ax.set(ylim=(0.5, 2.4), xlabel="direction, from the worst", ylabel="variance / bound")
+    ax.set(ylim=(0.5, 1.9), xlabel="direction, from the worst", ylabel="variance / bound")
     ax.set_xticks(range(6), [str(k) for k in range(1, 7)])
     ax.set_title(f"variance over bound at σ = {HIGH_SNR:g}, with 95 % bands", loc="left", fontsize=10)
     ax.legend(fontsize=8, frameon=False, loc="upper right")
@@ -200,9 +217,13 @@ def draw_noise(ax: Axes, results: dict[Run, Validation]) -> None:
         ax.vlines(x, low, high, color=COLOURS[run.scene], lw=7, alpha=0.25)
         ax.plot(x, found.nees, "o", color=COLOURS[run.scene])
         ax.plot(x, found.nees / (1.0 + result.excess), "_", color="black", ms=9)
+        if result.failed:
+            ax.text(
+                x, high, f"{len(result.failed) / run.trials:.0%} lost", fontsize=8, ha="center", va="bottom"
+            )
     ax.plot([], [], "o", color=COLOURS["high texture"], label="mean; bar: 95 % band if the bound is attained")
     ax.plot([], [], "_", color="black", ms=9, label="without the renderer's noise")
-    ax.set(xscale="log", xlabel="σ [radiance]", ylabel="NEES, mean of ξᵀFξ")
+    ax.set(xscale="log", xlim=(0.007, 12.0), xlabel="σ [radiance]", ylabel="NEES, mean of ξᵀFξ")
     ax.set_title("high texture: departure from the bound at low SNR", loc="left", fontsize=10)
     ax.legend(fontsize=8, frameon=False, loc="upper left")
 
