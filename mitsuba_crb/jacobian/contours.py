@@ -78,9 +78,10 @@ def parallax_term(
     for which in np.unique(chunk):
         part = blocks[chunk == which]
         mine = np.flatnonzero(np.isin(of_pixel, part))
-        terms[:, mine] = _sum_blocks(
+        touched, sums = _sum_blocks(
             view, contours, part, count[chunk == which], pixels[mine], baseline[mine], seed, batches
         )
+        terms[:, mine[touched]] = sums
     return terms
 
 
@@ -115,14 +116,18 @@ def _sum_blocks(
     baseline: Floats,
     seed: int,
     batches: int,
-) -> Floats:
-    """The term of some blocks' pixels (batches, n, 3, 6), from `count` samples per block and batch."""
-    n = len(pixels)
+) -> tuple[Ints, Floats]:
+    """Which of some blocks' pixels contours touch, and their term (batches, t, 3, 6).
+
+    Args:
+        count: samples per block and batch.
+    """
+    nothing = np.empty(0, dtype=np.int64), np.empty((batches, 0, 3, 6))
     slot = _slots(contours, blocks, pixels)
     samples = _draw(contours, blocks, count, seed, batches)
     samples = samples.part(_near(contours, slot, blocks, samples))
     if not len(samples.pair):
-        return np.zeros((batches, n, 3, 6))
+        return nothing
 
     # Where they land, and which of them show and touch a selected pixel.
     piece, start = contours.piece[samples.pair], contours.cumulative[samples.pair]
@@ -134,7 +139,7 @@ def _sum_blocks(
     jump = contours.jump(placed.part(kept), piece[kept], samples.point[kept], samples.aperture[kept])
     kept, jump = kept[jump > 0.0], jump[jump > 0.0]
     if not len(kept):
-        return np.zeros((batches, n, 3, 6))
+        return nothing
     samples, placed, rows, height = samples.part(kept), placed.part(kept), rows[kept], height[kept]
     outside = _radiance(view, contours, placed, samples, blocks, seed)
 
@@ -149,11 +154,15 @@ def _sum_blocks(
     inside = rows >= 0
     sample = np.nonzero(inside)[0]
     batch = samples.number % batches
+    counted = np.zeros(len(pixels), dtype=np.int64)
+    counted[rows[inside]] = 1
+    touched = np.flatnonzero(counted)
+    n, row = len(touched), np.cumsum(counted) - 1
     matrix = csr_array(
-        (height[inside], (batch[sample] * n + rows[inside], sample)), shape=(batches * n, len(kept))
+        (height[inside], (batch[sample] * n + row[rows[inside]], sample)), shape=(batches * n, len(kept))
     )
     sums = (matrix @ moments.reshape(-1, 24)).reshape(batches, n, 4, 6)
-    return np.asarray(sums[:, :, 1:] - baseline[:, :, None] * sums[:, :, :1])
+    return touched, np.asarray(sums[:, :, 1:] - baseline[touched, :, None] * sums[:, :, :1])
 
 
 def _draw(contours: Contours, blocks: Ints, count: Ints, seed: int, batches: int) -> _Samples:
