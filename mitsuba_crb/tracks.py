@@ -39,7 +39,7 @@ from .measure import Measurement, MeasurementOptions, TileJacobian, measurement
 from .noise import CoupledNoise, NoiseModel
 from .se3 import Array
 from .symmetric import unpack
-from .ustatistic import square_root, unit_products, whiten
+from .ustatistic import pixel_products, square_root, whiten
 
 if TYPE_CHECKING:
     from .scene import View
@@ -50,6 +50,8 @@ HALF_WINDOW = 3
 # Inverse depth is linear on the film of a plane. Where its Laplacian exceeds this fraction of it per pixel²,
 # there is an outline or a crease.
 _BENT = 0.02
+# Standard deviations of its Monte Carlo noise by which a window's tensor must exceed zero in all directions.
+_RESOLVED = 4.0
 # A point is hidden if the surface before it is nearer by more than this fraction of its depth.
 _HIDDEN = 1e-3
 
@@ -230,19 +232,21 @@ class _Windows:
         model.check(height, width, 3)
         accumulator = InformationAccumulator(batches=run.batches, block=run.block)
         image = np.full((height, width), np.nan)
-        tensor = np.zeros((height, width, 2, 2))
+        tensor, variance = np.zeros((height, width, 2, 2)), np.zeros((height, width))
         for part in run.tiles():
             weights = run.weights(model, part)
             accumulator.add(part.batch_values, weights, part.pixels)
             x, y = part.pixels.T
             image[y, x] = part.mean.mean(axis=1)
-            tensor[y, x] = _structure_tensors(part, camera, weights)
+            tensor[y, x], variance[y, x] = _structure_tensors(part, camera, weights)
         # What a window's pixels see reaches beyond it by their filter's radius.
         reach = 2 * (half + int(np.ceil(run.view.sensor.film().rfilter().radius()))) + 1
         blocked = ndimage.binary_dilation(_unsmooth(run.view) | np.isnan(image), np.ones((reach, reach)))
         blocked[:half] = blocked[-half:] = blocked[:, :half] = blocked[:, -half:] = True
-        total = ndimage.uniform_filter(tensor, 2 * half + 1, axes=(0, 1), mode="constant")
-        usable = ~blocked & (np.linalg.eigvalsh(total)[..., 0] > 0.0)
+        side = 2 * half + 1
+        total = ndimage.uniform_filter(tensor, side, axes=(0, 1), mode="constant")
+        noise_of_total = np.sqrt(ndimage.uniform_filter(variance, side, mode="constant").clip(0.0)) / side
+        usable = ~blocked & (np.linalg.eigvalsh(total)[..., 0] > _RESOLVED * noise_of_total)
         information = accumulator.information(
             frame="camera",
             variable=run.view.variable,
@@ -271,13 +275,18 @@ class _Windows:
         return PointView(view.variable, view.pose, self.camera, np.linalg.inv(tensors), seen)
 
 
-def _structure_tensors(part: TileJacobian, camera: Pinhole, weights: Array) -> Array:
-    """∇I Σ⁻¹ ∇Iᵀ at every pixel, (n, 2, 2) [1 / pixel²], the mean over pairs of batches."""
+def _structure_tensors(part: TileJacobian, camera: Pinhole, weights: Array) -> tuple[Array, Array]:
+    """∇I Σ⁻¹ ∇Iᵀ at every pixel, the mean over pairs of batches, and the variance of its noise.
+
+    Returns:
+        (n, 2, 2) [1 / pixel²], and (n,) the sum over its four entries, from the scatter between pairs.
+    """
     flow = camera.flow(camera.directions(part.pixels + 0.5))[..., 3:5]
     gradients = -part.batch_values[..., 3:5] @ np.linalg.inv(flow)
     whitened = whiten(gradients, square_root(weights), np.arange(len(weights)))
-    products = unit_products(whitened, np.arange(len(weights) + 1))
-    return unpack(products.mean(axis=0).T)
+    products = pixel_products(whitened)
+    xx, xy, yy = products.var(axis=0, ddof=1) / len(products)
+    return unpack(products.mean(axis=0).T), xx + 2.0 * xy + yy
 
 
 def _unsmooth(view: View) -> NDArray[np.bool_]:
