@@ -17,8 +17,8 @@ Rows at 32 x 24 pixels, where a trial takes a second and not a minute (`calibrat
   renderer's noise adds 2 %. It is 0.95 to 1.27 times the bound in both scenes, which share their noise.
 
 The paper has its BA row below its own CRB. No function of the same image can be: here corners are 3 times
-worse than all pixels where there is texture and 6 to 14 times where there is little, and tell what their
-windows tell, to 3 %. A BA row whose pixel noise is assumed, not derived from the image, can lie anywhere.
+worse than all pixels where there is texture and 8 to 30 times where there is little, and tell what their
+windows tell, to 5 %. A BA row whose pixel noise is assumed, not derived from the image, can lie anywhere.
 The paper's numbers are not given beside ours: its table was not at hand when these were measured. They would
 differ by its scenes, resolution and noise, so that only ratios of rows could be compared.
 """
