@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import gc
+import gc
 import warnings
 from pathlib import Path
 from typing import Any
@@ -283,6 +284,22 @@ def test_a_python_integrator_is_called_whatever_it_calls_itself() -> None:
         values, image = flow.jacobian(view, all_pixels(view), spp=16, seed=0, batches=4)
     assert image.mean() == pytest.approx(0.25, abs=2e-3)  # the pilot weights' noise
     assert np.abs(values).max() < 1.0
+
+
+def test_no_garbage_is_collected_while_paths_are_traced() -> None:
+    """A scene that died between two calls of one kernel made Dr.Jit abort."""
+    collecting: list[bool] = []
+
+    class Witness(Impostor):
+        def sample(self, *arguments: Any, **named: Any) -> Any:
+            collecting.append(gc.isenabled())
+            return super().sample(*arguments, **named)
+
+    with open_view(textured_wall(), integrator=Witness(mi.Properties())) as view:
+        flow.jacobian(view, all_pixels(view), spp=4, seed=0, batches=4)
+    assert collecting
+    assert not any(collecting)
+    assert gc.isenabled()
 
 
 @functools.cache

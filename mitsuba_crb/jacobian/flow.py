@@ -49,6 +49,7 @@ from .pixels import (
     move_ray,
     opaque_transform,
     render_pixels,
+    uncollected,
     upload,
 )
 from .view_term import ViewTerm
@@ -230,18 +231,19 @@ def filter_and_view_terms(
         dr.opaque(mi.Float, number / pairs.kinds if few else (number - kind - 1) // pairs.kinds + 1)
         for kind in range(pairs.kinds)
     ]
-    columns, image = _sum_pairs(
-        view,
-        prepared,
-        lane_sampler(pixel, batch, seed),
-        EvenNumbers.of(view, pixels, batches, seed, _USES),
-        centre,
-        mi.Color3f(*(upload(mi.Float, np.repeat(channel, batches)) for channel in baseline.T)),
-        counts,
-        dr.opaque(mi.UInt32, number),
-        dr.opaque(mi.UInt32, pairs.kinds if few else 1),
-    )
-    dr.eval(columns, image)
+    with uncollected():
+        columns, image = _sum_pairs(
+            view,
+            prepared,
+            lane_sampler(pixel, batch, seed),
+            EvenNumbers.of(view, pixels, batches, seed, _USES),
+            centre,
+            mi.Color3f(*(upload(mi.Float, np.repeat(channel, batches)) for channel in baseline.T)),
+            counts,
+            dr.opaque(mi.UInt32, number),
+            dr.opaque(mi.UInt32, pairs.kinds if few else 1),
+        )
+        dr.eval(columns, image)
 
     def result() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         values = np.stack([np.array(component) for column in columns for component in column])

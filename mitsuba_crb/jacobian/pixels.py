@@ -10,7 +10,10 @@ whatever tile or subset the pixel is rendered in. Source: design section 4; Phar
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import gc
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -54,6 +57,22 @@ def _sampler_class() -> Any:
             return PixelSampler(mi.PCG32(self.rng))
 
     return PixelSampler
+
+
+@contextlib.contextmanager
+def uncollected() -> Iterator[None]:
+    """No garbage collection while a kernel is traced.
+
+    If another scene dies meanwhile, the kernel's first calls still count its objects as targets and the later
+    ones do not: Dr.Jit 1.5 then writes one function twice, and the process aborts.
+    """
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def upload(kind: Any, values: NDArray[Any]) -> Any:
@@ -308,15 +327,17 @@ def render_pixels(
     wide = widened(pixels)
     pixel, batch, centre = lanes(view, wide, batches)
     transform = opaque_transform(view.pose if pose is None else pose)
-    total = sum_samples(
-        view,
-        PixelFilter.of(view),
-        lane_sampler(pixel, batch, seed, purpose),
-        centre,
-        transform,
-        dr.opaque(mi.UInt32, spp),
-        lattice,
-    )
+    with uncollected():
+        total = sum_samples(
+            view,
+            PixelFilter.of(view),
+            lane_sampler(pixel, batch, seed, purpose),
+            centre,
+            transform,
+            dr.opaque(mi.UInt32, spp),
+            lattice,
+        )
+        dr.eval(total)
     values = download(total).reshape(3, len(wide), batches).transpose(2, 1, 0) / spp
     return values[:, : len(pixels)]
 
