@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import gc
-import gc
 import warnings
 from pathlib import Path
 from typing import Any
