@@ -117,6 +117,7 @@ class TestNeverOverConfident:
             assert np.linalg.eigvalsh(decoded)[0] >= lowest - 2.0 * 8.0 * u * norm
             assert quantised.shift <= max(0.0, -lowest) + 8.0 * u * norm
 
+    @pytest.mark.slow
     def test_ten_thousand_matrices(self):
         rng = np.random.default_rng(6)
         kinds = ["definite"] * 5 + ["singular", "singular", "near", "near", "indefinite"]
@@ -483,6 +484,7 @@ class TestBadInput:
             with pytest.raises(MessageError):
                 decode(bytes(broken))
 
+    @pytest.mark.slow
     def test_a_hundred_thousand_strange_byte_strings(self):
         """Noise, cut, damaged; and damaged with a good checksum, where only the fields' checks protect."""
         rng = np.random.default_rng(18)

@@ -81,6 +81,7 @@ class TestCorners:
 
 
 class TestCovariance:
+    @pytest.mark.slow
     def test_it_is_that_of_the_image_s_own_gradient(self):
         """∇I by moving the principal point instead; 256 paths leave 3 % of noise in each variance."""
         tracks = feature_tracks(textured_wall(), SIGMA, spp=256, half_window=2)

@@ -125,6 +125,7 @@ def test_far_starts_fail_and_are_counted_apart() -> None:
     assert found.consistency.nees < 6.0 * 3.0
 
 
+@pytest.mark.slow
 def test_a_start_that_sees_nothing_is_a_failed_trial(monkeypatch: pytest.MonkeyPatch) -> None:
     """And every trial may go through levels."""
     seen: list[int] = []

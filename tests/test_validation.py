@@ -15,6 +15,7 @@ from mitsuba_crb.errors import BlindSpotWarning, OptionError
 FORWARD = {"methods": ("forward",)}
 
 
+@pytest.mark.slow
 def test_forward_passes_on_a_smooth_wall() -> None:
     check = check_jacobian(textured_wall(sensor=camera(48, 36)), spp=256, seed=1, **FORWARD)
     assert (check.verdict, check.exit_code) == ("agree", 0)
@@ -35,6 +36,7 @@ def test_forward_fails_on_a_nearest_texture() -> None:
     assert check.rows[0].difference == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow
 def test_too_few_samples_are_inconclusive() -> None:
     check = check_jacobian(textured_wall(), spp=8, seed=3, **FORWARD)
     assert (check.verdict, check.exit_code) == ("inconclusive", 3)
