@@ -84,10 +84,10 @@ class TestWarehouse:
         assert np.isfinite(result.fusion.bound.rotation_std_deg).all()
         assert sum(share.share for share in result.fusion.agents) == pytest.approx(1.0)
 
-    def test_the_hidden_directions_are_the_derived_ones(self, result: Any) -> None:
+    def test_the_hidden_directions_are_the_derived_ones(self) -> None:
         """In the world: translations along z, x and y, and the roll about x through the duct's centre.
 
-        Within 2 degrees: at 64 paths the duct's is found within half a degree, or one.
+        To 0.8 degrees, for which the duct's 64 paths are too few: 512 leave a tenth of it.
         """
         axis = np.array([1.0, 0.0, 0.0])
         derived = [
@@ -96,12 +96,16 @@ class TestWarehouse:
             np.eye(6)[1],
             np.concatenate([-np.cross(axis, [0, 0.5, 2.2]), axis]),
         ]
-        for bound, twist in zip(result.bounds, derived, strict=True):
+        bounds = [
+            pose_bound(WAREHOUSE / "warehouse.xml", Gaussian(0.01), sensor=name, size=(128, 96), spp=512)
+            for name in AGENTS
+        ]
+        for bound, twist in zip(bounds, derived, strict=True):
             own = se3.adjoint(se3.inverse(bound.information.pose)) @ twist
             scaled = own / bound.information.scale
             found = bound.unobserved[0].direction
             cosine = abs(found @ scaled) / np.linalg.norm(found) / np.linalg.norm(scaled)
-            assert cosine > np.cos(np.radians(2.0))
+            assert cosine > 1.0 - 1e-4
 
     def test_the_body_s_information_is_the_sum_about_its_own_pose(self, result: Any) -> None:
         body = np.eye(4)
