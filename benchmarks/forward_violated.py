@@ -36,9 +36,11 @@ from mitsuba_crb.plot import draw_render
 from mitsuba_crb.trials import Validation, validate
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "benchmarks" / "paper")]
 
+from calibration import axis_values  # noqa: E402
 from faint_boxes import faint_boxes  # noqa: E402
+from table1 import numbers  # noqa: E402
 
 FILE = ROOT / "benchmarks" / "figures" / "forward_violated"
 SIZE = (48, 36)
@@ -59,16 +61,6 @@ def bounds(scene: object) -> dict[str, PoseBound]:
         return {m: pose_bound(scene, Gaussian(SIGMA), method=m, size=SIZE, spp=BOUND_SPP) for m in METHODS}
 
 
-def axes_of(pose: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """(n, 6), errors of the centre along world axes [cm] and of the rotation about the camera's [deg]."""
-    return np.hstack([100.0 * errors[:, :3] @ pose[:3, :3].T, np.degrees(errors[:, 3:])])
-
-
-def deviations(bound: PoseBound) -> np.ndarray:
-    """(6,), the same of a bound."""
-    return np.concatenate([100.0 * bound.position_std, bound.rotation_std_deg])
-
-
 def main() -> None:
     """Bounds, trials, comparison; write the CSV and the figure, print the table."""
     scene = faint_boxes()
@@ -84,11 +76,11 @@ def main() -> None:
     )
     errors = found.errors
     judged = {m: consistency(errors, b.information, confidence=CONFIDENCE) for m, b in both.items()}
-    sample = np.sqrt(np.mean(axes_of(both["flow"].information.pose, errors) ** 2, axis=0))
+    sample = np.sqrt(np.mean(axis_values(errors, both["flow"].information.pose) ** 2, axis=0))
     n = len(errors)
     interval = np.outer(sample, np.sqrt(n / np.array(stats.chi2.interval(CONFIDENCE, n)))[::-1])
     rows = [
-        [axis, *(f"{deviations(b)[k]:.4g}" for b in both.values()), f"{sample[k]:.4g}"]
+        [axis, *(f"{numbers(b)[k]:.4g}" for b in both.values()), f"{sample[k]:.4g}"]
         + [f"{value:.4g}" for value in interval[k]]
         for k, axis in enumerate(AXES)
     ]
@@ -128,7 +120,7 @@ def draw(
     for k, (method, bound) in enumerate(both.items()):
         left.bar(
             np.arange(6) + 0.36 * k - 0.18,
-            deviations(bound),
+            numbers(bound),
             0.34,
             color=METHODS[method],
             alpha=0.75,

@@ -371,10 +371,10 @@ class Measurement:
     def _in_turn(self, paths: dict[str, int]) -> Iterator[tuple[NDArray[np.int64], Any]]:
         """Each tile's pixels and what the method says of them, while flow's next paths are traced already."""
         module = _module(self.method)
-        start = module.start if self.method == "flow" else partial(partial, module.jacobian)
+        call = module.start if self.method == "flow" else partial(partial, module.jacobian)
         ahead = None
         for part in subset.tiles(self.mask, self.tile):
-            started = part, start(self.view, part, **paths, prepared=self.prepared)
+            started = part, call(self.view, part, prepared=self.prepared, **paths)
             if ahead is not None:
                 yield ahead[0], ahead[1]()
             ahead = started

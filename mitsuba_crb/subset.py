@@ -28,8 +28,13 @@ def everything(size: tuple[int, int]) -> PixelSelection:
 
 def is_mask(pixels: Any) -> bool:
     """Whether a choice names its pixels, for one size of image, instead of a fraction of them."""
-    whole = pixels is None or (isinstance(pixels, str) and pixels == "all")
-    return not (whole or (isinstance(pixels, str) and pixels.split(":")[0] in ("random", "gradient")))
+    return not _is_all(pixels) and not (
+        isinstance(pixels, str) and pixels.split(":")[0] in ("random", "gradient")
+    )
+
+
+def _is_all(pixels: Any) -> bool:
+    return pixels is None or (isinstance(pixels, str) and pixels == "all")
 
 
 def choose(
@@ -52,7 +57,7 @@ def choose(
     """
     whole = everything(size)
     width, height = size
-    if pixels is None or (isinstance(pixels, str) and pixels == "all"):
+    if _is_all(pixels):
         return np.ones((height, width), dtype=bool), whole
     if not is_mask(pixels):
         rule, count = _parse_fraction(pixels, whole.total)

@@ -100,6 +100,12 @@ class Validation:
         return np.array([trial.error for trial in self.trials if trial.index not in self.failed])
 
     @property
+    def squares(self) -> Array:
+        """(n,), their ξᵀFξ, χ²_6 if the bound is attained."""
+        F = self.bound.information.to_frame("camera").matrix
+        return np.asarray(np.einsum("ni,ij,nj->n", self.errors, F, self.errors))
+
+    @property
     def efficiency(self) -> float:
         """6 / NEES: 1 for an estimator that attains the bound."""
         return 6.0 / self.consistency.nees

@@ -27,16 +27,14 @@ def validation_figure(result: Validation) -> Figure:
     figure = Figure(figsize=(12.0, 4.2), facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, 3)
-    errors = result.errors
-    F = result.bound.information.to_frame("camera").matrix
-    squares = np.einsum("ni,ij,nj->n", errors, F, errors)
+    squares = result.squares
     draw_calibration(axes[0], squares)
     for c in result.consistency.coverage:
         axes[0].plot([c.nominal] * 2, [c.low, c.high], color=_FOUND, lw=3, alpha=0.4, solid_capstyle="butt")
     _draw_squares(axes[1], squares)
     _draw_ratios(axes[2], result.consistency.generalized_eigenvalues, result.consistency.wishart_band)
     figure.suptitle(
-        f"{Path(result.settings['scene']).name}: {len(errors)} alignments, {len(result.failed)} failed, "
+        f"{Path(result.settings['scene']).name}: {len(squares)} alignments, {len(result.failed)} failed, "
         f"efficiency {result.efficiency:.0%}",
         fontsize=11,
     )

@@ -182,10 +182,8 @@ def draw(results: dict[Run, Validation]) -> Figure:
 
 def draw_run(ax: Axes, run: Run, result: Validation) -> None:
     """Coverage of one run; seeds beside each other."""
-    F = result.bound.information.to_frame("camera").matrix
-    squares = np.einsum("ni,ij,nj->n", result.errors, F, result.errors)
     label = f"{run.scene}, {run.trials} trials a seed" if run.seed == 0 else None
-    draw_calibration(ax, squares, color=COLOURS[run.scene], label=label)
+    draw_calibration(ax, result.squares, color=COLOURS[run.scene], label=label)
     shift = 0.006 * (run.seed - 1 if run.scene == "high texture" else 2)
     for c in result.consistency.coverage:
         ax.plot([c.nominal + shift] * 2, [c.low, c.high], color=COLOURS[run.scene], lw=2.5, alpha=0.5)

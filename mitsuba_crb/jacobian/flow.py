@@ -158,38 +158,33 @@ def jacobian(
         (batches, n, 3, 6 + m) Jacobians [radiance / scene unit, radiance / rad, and per unit of the m film
         parameters], and the image (batches, n, 3).
     """
-    return start(view, pixels, spp=spp, seed=seed, batches=batches, prepared=prepared)()
+    prepared = prepare(view) if prepared is None else prepared
+    return start(view, pixels, prepared, spp=spp, seed=seed, batches=batches)()
 
 
 def start(
-    view: View,
-    pixels: NDArray[np.int64],
-    *,
-    spp: int,
-    seed: int,
-    batches: int,
-    prepared: Prepared | None = None,
+    view: View, pixels: NDArray[np.int64], prepared: Prepared, *, spp: int, seed: int, batches: int
 ) -> Result:
     """As `jacobian`, but leaves the paths to be traced in the background until the result is asked for."""
-    prepared = prepare(view) if prepared is None else prepared
     baseline = _baseline(view, pixels, seed)
     contours = prepared.contours
-    beside: list[NDArray[np.float64]] = []
+    beside = None
     if not isinstance(contours, Contours):
-        beside = [
+        columns = [
             finite_difference.column(view, pixels, axis, step, spp=spp, seed=seed, batches=batches)[0]
             for axis, step in enumerate(contours.steps[:3])
         ]
+        beside = np.stack(columns, axis=-1)
     elif len(contours.piece):
-        beside = [parallax_term(view, contours, pixels, baseline, spp=spp, seed=seed, batches=batches)]
+        beside = parallax_term(view, contours, pixels, baseline, spp=spp, seed=seed, batches=batches)
     background = filter_and_view_terms(view, prepared, pixels, baseline, spp=spp, seed=seed, batches=batches)
 
     def result() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         values, image = background()
         if not isinstance(contours, Contours):
-            values[..., :3] = np.stack(beside, axis=-1)
-        elif beside:
-            values[..., :6] += beside[0]
+            values[..., :3] = beside
+        elif beside is not None:
+            values[..., :6] += beside
         return values, image
 
     return result
