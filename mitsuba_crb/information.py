@@ -34,7 +34,16 @@ from .errors import FrameError, NoiseError, OptionError, PixelsError, RadianceEr
 from .noise import CoupledNoise, NoiseModel
 from .se3 import Array, Frame
 from .symmetric import congruence, entries, positive_part, symmetrised, unpack
-from .ustatistic import VarianceComponents, gram, pixel_products, square_root, unit_products, whiten
+from .ustatistic import (
+    VarianceComponents,
+    gram,
+    mean_of_batches,
+    pixel_products,
+    square_root,
+    unit_grams,
+    unit_products,
+    whiten,
+)
 
 BLOCK = 8
 """Side [pixel] of the film blocks, on a fixed grid (x // 8, y // 8), whose pixels may share samples.
@@ -376,15 +385,18 @@ class InformationAccumulator:
         cuts = np.unique(np.searchsorted(starts, np.append(np.arange(0, len(order), _CHUNK), len(order))))
         for low, high in pairwise(cuts):
             whitened = whiten(values, root, order[starts[low] : starts[high]])
-            self._plain += gram(whitened.mean(axis=2).reshape(-1, self._columns))
             own = starts[low : high + 1] - starts[low]
             if self._sampled:
                 each = pixel_products(whitened)
                 units = np.add.reduceat(each, own[:-1], axis=-1)
                 means = self._pixels.add(each) if self._block > 1 else each.mean(axis=0)
                 self._pixel_squares += gram(means.T)
+                of_all = gram(whitened.reshape(-1, self._batches * self._columns))
             else:
-                units = unit_products(whitened, own)
+                grams = unit_grams(whitened, own)
+                units = unit_products(grams, self._batches)
+                of_all = grams.sum(axis=0)
+            self._plain += mean_of_batches(of_all, self._batches)
             self._sum += self._units.add(units).sum(axis=1)
 
     def add_coupled(self, batch_values: ArrayLike, noise: CoupledNoise, pixels: ArrayLike) -> None:
@@ -508,7 +520,7 @@ class InformationAccumulator:
             raise PixelsError(f"pixels must be integers of shape ({values.shape[1]}, 2), not {pixels.shape}")
         if pixels.size and pixels.min() < 0:
             raise PixelsError("pixel coordinates must not be negative")
-        if not np.isfinite(values).all():
+        if not np.isfinite(values.sum()):
             bad = int(np.count_nonzero(~np.isfinite(values).all(axis=(0, 2, 3))))
             raise RadianceError(f"the Jacobian is not finite at {bad} of {len(pixels)} pixels")
 

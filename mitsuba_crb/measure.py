@@ -190,7 +190,7 @@ class TileJacobian:
         found = [self.batch_values, self.mean[None]]
         if self.nuisance_values is not None:
             found.append(self.nuisance_values)
-        if all(np.isfinite(values).all() for values in found):
+        if all(np.isfinite(values.sum()) for values in found):
             return self
         good = np.logical_and.reduce(
             [np.isfinite(values).all(axis=(0, *range(2, values.ndim))) for values in found]
@@ -369,17 +369,27 @@ class Measurement:
             )
 
     def _in_turn(self, paths: dict[str, int]) -> Iterator[tuple[NDArray[np.int64], Any]]:
-        """Each tile's pixels and what the method says of them, while flow's next paths are traced already."""
-        module = _module(self.method)
-        call = module.start if self.method == "flow" else partial(partial, module.jacobian)
-        ahead = None
+        """Each tile's pixels and what the method says of them; flow takes its steps as `flow.steps` says."""
+        module, running = _module(self.method), None
         for part in subset.tiles(self.mask, self.tile):
-            started = part, call(self.view, part, prepared=self.prepared, **paths)
-            if ahead is not None:
-                yield ahead[0], ahead[1]()
-            ahead = started
-        if ahead is not None:
-            yield ahead[0], ahead[1]()
+            call = partial(module.jacobian, self.view, part, prepared=self.prepared, **paths)
+            steps = module.steps(*call.args, **call.keywords) if self.method == "flow" else _at_once(call)
+            next(steps)
+            if running is not None:
+                next(running[1])
+            next(steps)
+            if running is not None:
+                yield running[0], next(running[1])
+            running = part, steps
+        if running is not None:
+            next(running[1])
+            yield running[0], next(running[1])
+
+
+def _at_once(call: Callable[[], Any]) -> Iterator[Any]:
+    """A call in the last of four steps."""
+    yield from (None, None, None)
+    yield call()
 
 
 @contextlib.contextmanager

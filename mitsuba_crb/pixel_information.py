@@ -18,7 +18,7 @@ from .information import ImageJacobian, fisher_information
 from .noise import CoupledNoise, NoiseModel
 from .se3 import Array
 from .symmetric import pack
-from .ustatistic import square_root, unit_products, whiten
+from .ustatistic import pixel_products, square_root, whiten
 
 _CHUNK = 4096  # pixels whose products are held at once
 
@@ -34,7 +34,7 @@ def pixel_information(batch_values: Array, weights: Array) -> Array:
     starts = range(0, len(root), _CHUNK)
     parts = (np.arange(start, min(start + _CHUNK, len(root))) for start in starts)
     products = [
-        unit_products(whiten(batch_values, root, part), np.arange(len(part) + 1)).mean(axis=0).T
+        pixel_products(whiten(batch_values, root, part)).mean(axis=0).T
         for part in parts
     ]
     return np.concatenate(products) if products else np.zeros((0, 21))

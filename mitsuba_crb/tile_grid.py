@@ -18,7 +18,7 @@ from .errors import OptionError
 from .information import MINIMUM_BATCHES
 from .se3 import Array
 from .symmetric import unpack
-from .ustatistic import square_root, unit_products, whiten
+from .ustatistic import square_root, unit_grams, unit_products, whiten
 
 MINIMUM_HALVED_BATCHES = 2 * MINIMUM_BATCHES
 """Each half is an estimate of its own, with as many batches as any other."""
@@ -71,7 +71,8 @@ class TileGrid:
         order = np.lexsort((x, y, tile))
         starts = np.append(np.flatnonzero(np.diff(tile[order], prepend=-1)), len(order))
         touched, counts = np.unique(tile, return_counts=True)
-        self._sums[:, :, touched] += unit_products(whiten(batch_values, square_root(weights), order), starts)
+        grams = unit_grams(whiten(batch_values, square_root(weights), order), starts)
+        self._sums[:, :, touched] += unit_products(grams, len(batch_values))
         self._count[touched] += counts
 
     @property

@@ -119,8 +119,8 @@ def gram(rows: Array) -> Array:
     return np.asarray((stack.mT @ stack).sum(axis=-3) + rest.mT @ rest, dtype=np.float64)
 
 
-def unit_products(whitened: Array, starts: NDArray[np.intp]) -> Array:
-    """h_kl of every unit, (pairs k < l, E, units).
+def unit_grams(whitened: Array, starts: NDArray[np.intp]) -> Array:
+    """Σ J_kᵀ W J_l of every unit and all k and l, (units, K P, K P).
 
     Args:
         whitened: (m, C, K, P), from `whiten`.
@@ -133,9 +133,20 @@ def unit_products(whitened: Array, starts: NDArray[np.intp]) -> Array:
         which = np.flatnonzero(sizes == size)
         index = starts[which, None] + np.arange(size)
         grams[which] = gram(whitened[index].reshape(len(which), size * C, K * P))
-    products = grams.reshape(-1, K, P, K, P)
-    pairs = combinations(range(K), 2)
+    return grams
+
+
+def unit_products(grams: Array, batches: int) -> Array:
+    """h_kl of every unit, (pairs k < l, E, units), from `unit_grams`."""
+    products = grams.reshape(len(grams), batches, -1, batches, grams.shape[1] // batches)
+    pairs = combinations(range(batches), 2)
     return np.stack([pack(symmetrised(products[:, k, :, j, :])).T for k, j in pairs])
+
+
+def mean_of_batches(gram_of_all: Array, batches: int) -> Array:
+    """J̄ᵀ W J̄ of J̄ = Σ J_k / K, from Σ J_kᵀ W J_l of all k and l (K P, K P)."""
+    P = len(gram_of_all) // batches
+    return np.asarray(gram_of_all.reshape(batches, P, batches, P).sum(axis=(0, 2)) / batches**2)
 
 
 def pixel_products(whitened: Array) -> Array:

@@ -24,7 +24,7 @@ from mitsuba_crb.information import (
     fisher_information,
 )
 from mitsuba_crb.symmetric import congruence, pack, positive_part, unpack
-from mitsuba_crb.ustatistic import pixel_products, unit_products
+from mitsuba_crb.ustatistic import pixel_products, unit_grams, unit_products
 
 POSE = se3.exp([1.0, -2.0, 0.5, 0.4, -0.3, 0.8])
 FAR = np.array([[1.0, 0, 0, 1e4], [0, 1, 0, -7e3], [0, 0, 1, 2e3], [0, 0, 0, 1]]) @ POSE
@@ -703,5 +703,5 @@ class TestBadInput:
 
 def test_products_of_single_pixels_are_those_of_units_of_one() -> None:
     whitened = np.random.default_rng(3).normal(size=(50, 3, 5, 7))
-    expected = unit_products(whitened, np.arange(51))
+    expected = unit_products(unit_grams(whitened, np.arange(51)), whitened.shape[2])
     assert pixel_products(whitened) == pytest.approx(expected, rel=1e-12, abs=1e-12)

@@ -21,7 +21,7 @@ Differentiable Rendering; Zhang et al. 2023, Projective Sampling.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
@@ -29,14 +29,28 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from ..information import BLOCK
-from .pixels import download, lane_sampler, move_ray, opaque_transform, radiance, upload, widened
+from .pixels import (
+    LATTICE,
+    download,
+    lane_sampler,
+    move_ray,
+    opaque_transform,
+    radiance,
+    uncollected,
+    upload,
+    widened,
+)
 from .silhouettes import ASIDE, Contours, find_contours
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import mitsuba as mi
+
     from ..scene import View
     from .curves import Placed
 
-__all__ = ["Contours", "find_contours", "parallax_term"]
+__all__ = ["Contours", "find_contours", "parallax_steps"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -47,7 +61,7 @@ _CHUNK = 1 << 19
 """Samples held at once, about."""
 
 
-def parallax_term(
+def parallax_steps(
     view: View,
     contours: Contours,
     pixels: Ints,
@@ -56,8 +70,10 @@ def parallax_term(
     spp: int,
     seed: int,
     batches: int,
-) -> Floats:
-    """Estimate the parallax term of dI/dξ in the camera frame.
+) -> Iterator[Any]:
+    """Estimate the parallax term of dI/dξ in the camera frame, in three steps; the last one's item is it.
+
+    The first starts paths in the background, the second waits for them, the third sums up.
 
     Args:
         contours: of this view, from `find_contours`.
@@ -66,23 +82,32 @@ def parallax_term(
         spp: paths per pixel over all batches that the other terms trace; sets the number of samples here.
 
     Returns:
-        (batches, n, 3, 6), independent from batch to batch and from block to block
-        [radiance / scene unit, radiance / rad].
+        In the last step: which pixels contours touch (t,), and the term there (batches, t, 3, 6), independent
+        from batch to batch and from block to block [radiance / scene unit, radiance / rad].
     """
-    terms = np.zeros((batches, len(pixels), 3, 6))
     of_pixel = pixels[:, 1] // BLOCK * contours.columns + pixels[:, 0] // BLOCK
     blocks = np.unique(of_pixel)
     count = np.ceil(contours.samples[blocks] * (spp / batches)).astype(np.int64)
     blocks, count = blocks[count > 0], count[count > 0]
     chunk = np.cumsum(count * batches) // _CHUNK
+    rows, terms = [np.empty(0, dtype=np.int64)], [np.empty((batches, 0, 3, 6))]
+    last = chunk[-1] if len(chunk) else 0
     for which in np.unique(chunk):
         part = blocks[chunk == which]
         mine = np.flatnonzero(np.isin(of_pixel, part))
-        touched, sums = _sum_blocks(
+        steps = _block_steps(
             view, contours, part, count[chunk == which], pixels[mine], baseline[mine], seed, batches
         )
-        terms[:, mine[touched]] = sums
-    return terms
+        for _ in range(2):
+            next(steps)
+            if which == last:
+                yield
+        touched, sums = next(steps)
+        rows.append(mine[touched])
+        terms.append(sums)
+    if not len(chunk):
+        yield from (None, None)
+    yield np.concatenate(rows), np.concatenate(terms, axis=1)
 
 
 @dataclass(frozen=True)
@@ -107,7 +132,7 @@ class _Samples:
         return _Samples(*(getattr(self, field.name)[index] for field in fields(self)))
 
 
-def _sum_blocks(
+def _block_steps(
     view: View,
     contours: Contours,
     blocks: Ints,
@@ -116,41 +141,54 @@ def _sum_blocks(
     baseline: Floats,
     seed: int,
     batches: int,
-) -> tuple[Ints, Floats]:
-    """Which of some blocks' pixels contours touch, and their term (batches, t, 3, 6).
+) -> Iterator[Any]:
+    """Which of some blocks' pixels contours touch, and their term (batches, t, 3, 6), as `parallax_steps`.
 
     Args:
         count: samples per block and batch.
     """
-    nothing = np.empty(0, dtype=np.int64), np.empty((batches, 0, 3, 6))
     slot = _slots(contours, blocks, pixels)
     samples = _draw(contours, blocks, count, seed, batches)
     samples = samples.part(_near(contours, slot, blocks, samples))
-    if not len(samples.pair):
-        return nothing
 
-    # Where they land, and which of them show and touch a selected pixel.
+    # Where they land, and which of them touch a selected pixel.
     piece, start = contours.piece[samples.pair], contours.cumulative[samples.pair]
     share = contours.cumulative[samples.pair + 1] - start
     u = np.clip((samples.target - start) / share, 0.0, 1.0)
     placed = contours.place(piece, u, samples.point, contours.reach(blocks[samples.owner]))
-    rows, height = _footprint(contours, slot, blocks, samples.owner, placed.film)
+    rows, offset = _footprint(contours, slot, blocks, samples.owner, placed.film)
     kept = np.flatnonzero((rows >= 0).any(axis=1) & (placed.length > 0.0))
-    jump = contours.jump(placed.part(kept), piece[kept], samples.point[kept], samples.aperture[kept])
-    kept, jump = kept[jump > 0.0], jump[jump > 0.0]
-    if not len(kept):
-        return nothing
-    samples, placed, rows, height = samples.part(kept), placed.part(kept), rows[kept], height[kept]
-    outside = _radiance(view, contours, placed, samples, blocks, seed)
+    samples, placed, piece, share = samples.part(kept), placed.part(kept), piece[kept], share[kept]
+    rows, offset = rows[kept], offset[kept]
+    if not len(kept):  # Dr.Jit does not divide empty arrays
+        yield from (None, None)
+        yield kept, np.empty((batches, 0, 3, 6))
+        return
+    with uncollected():
+        sides = contours.look(placed, samples.aperture)
+        outside = _radiance(view, contours, placed, samples, blocks, seed, sides.jump > 0.0)
+        dr.eval(sides, outside)
+    yield
+    sides, outside = sides.fetched(), [np.asarray(channel) for channel in outside]
+    yield
+
+    # Which show.
+    jump = contours.jump(sides, placed, piece, samples.point)
+    shown = np.flatnonzero(jump > 0.0)
+    samples, placed, jump, share = samples.part(shown), placed.part(shown), jump[shown], share[shown]
+    rows, offset = rows[shown], offset[shown]
+    light = np.stack([channel[shown] for channel in outside], axis=1, dtype=np.float64)
 
     # (f_fg − f_bg)·m per twist component, times the film length that each sample stands for.
     slope = placed.normal / contours.lens.scale
     gradient = np.column_stack([-slope, np.sum(slope * placed.seen[:, :2], axis=1) / placed.seen[:, 2]])
     gradient = np.concatenate([gradient, np.cross(samples.point, gradient)], axis=1)
     whole = contours.cumulative[contours.first[blocks + 1]] - contours.cumulative[contours.first[blocks]]
-    gradient *= (jump * placed.length * (whole / count)[samples.owner] / share[kept])[:, None]
-    moments = np.concatenate([gradient[:, None], outside[:, :, None] * gradient[:, None]], axis=1)
+    gradient *= (jump * placed.length * (whole / count)[samples.owner] / share)[:, None]
+    moments = np.concatenate([gradient[:, None], light[:, :, None] * gradient[:, None]], axis=1)
 
+    h = contours.pixel_filter.interpolate(offset)
+    height = (h[:, :, None, 0] * h[:, None, :, 1]).reshape(rows.shape)
     inside = rows >= 0
     sample = np.nonzero(inside)[0]
     batch = samples.number % batches
@@ -159,36 +197,46 @@ def _sum_blocks(
     touched = np.flatnonzero(counted)
     n, row = len(touched), np.cumsum(counted) - 1
     matrix = csr_array(
-        (height[inside], (batch[sample] * n + row[rows[inside]], sample)), shape=(batches * n, len(kept))
+        (height[inside], (batch[sample] * n + row[rows[inside]], sample)), shape=(batches * n, len(shown))
     )
     sums = (matrix @ moments.reshape(-1, 24)).reshape(batches, n, 4, 6)
-    return touched, np.asarray(sums[:, :, 1:] - baseline[touched, :, None] * sums[:, :, :1])
+    yield touched, np.asarray(sums[:, :, 1:] - baseline[touched, :, None] * sums[:, :, :1])
 
 
 def _draw(contours: Contours, blocks: Ints, count: Ints, seed: int, batches: int) -> _Samples:
-    """One sample in each stratum of a block's weight, per block and batch."""
-    import mitsuba as mi
-
+    """Evenly in a block's weight, and over the lens, from a random start per block and batch."""
     total = count * batches
     owner = np.repeat(np.arange(len(blocks)), total)
     number = np.arange(len(owner)) - np.repeat(np.cumsum(total) - total, total)
-    sampler = lane_sampler(upload(mi.UInt32, blocks[owner]), upload(mi.UInt32, number), seed, POINTS)
-    jitter, aperture = sampler.next_1d(), sampler.next_2d()
-    point = mi.warp.square_to_uniform_disk_concentric(aperture)
-    dr.eval(jitter, aperture, point)
+    # Of all blocks, because a block's must not depend on which others are asked for.
+    start = np.random.default_rng((seed, POINTS)).random((len(contours.samples), batches, 3))
+    start = start[blocks[owner], number % batches]
+    turn = number // batches
     first, last = contours.first[blocks], contours.first[blocks + 1]
     low, high = contours.cumulative[first], contours.cumulative[last]
-    stratum = number // batches + np.array(jitter, dtype=np.float64)
-    target = low[owner] + ((high - low) / count)[owner] * stratum
+    target = low[owner] + ((high - low) / count)[owner] * (turn + start[:, 0])
     pair = np.searchsorted(contours.cumulative, target, side="right") - 1
+    aperture = (start[:, 1:] + turn[:, None] * (np.array(LATTICE) / 2.0**32)) % 1.0
     return _Samples(
         owner=owner,
         number=number,
         pair=np.clip(pair, first[owner], last[owner] - 1),
         target=target,
-        aperture=download(aperture).T,
-        point=np.column_stack([contours.lens.radius * download(point).T, np.zeros(len(owner))]),
+        aperture=aperture,
+        point=_lens_points(contours, aperture),
     )
+
+
+def _lens_points(contours: Contours, aperture: Floats) -> Floats:
+    """Where the sensor's lens samples (n, 2) lie on its lens (n, 3) [scene unit]."""
+    import mitsuba as mi
+
+    point = np.zeros((len(aperture), 3))
+    if contours.lens.radius > 0.0:
+        sample = mi.Point2f(*(upload(mi.Float, x) for x in widened(aperture).T))
+        disk = mi.warp.square_to_uniform_disk_concentric(sample)
+        point[:, :2] = contours.lens.radius * download(disk).T[: len(aperture)]
+    return point
 
 
 def _slots(contours: Contours, blocks: Ints, pixels: Ints) -> Ints:
@@ -218,30 +266,35 @@ def _near(contours: Contours, slot: Ints, blocks: Ints, samples: _Samples) -> In
 def _footprint(
     contours: Contours, slot: Ints, blocks: Ints, owner: Ints, film: Floats
 ) -> tuple[Ints, Floats]:
-    """Selected pixels that film points reach in their own block, −1 for none, and h there; both (n, r²)."""
-    import mitsuba as mi
+    """Selected pixels that film points reach in their own block (n, r²), −1 for none.
 
-    pixel_filter = contours.pixel_filter
-    width = int(np.ceil(2.0 * pixel_filter.radius))
-    pixel = np.ceil(film - pixel_filter.radius - 0.5).astype(np.int64)[:, None] + np.arange(width)[:, None]
-    offset = upload(mi.Float, (pixel + 0.5 - film[:, None]).ravel())
-    h = np.array(pixel_filter.eval(offset), dtype=np.float64).reshape(-1, width, 2)
+    And how far the centres of the pixels' r columns and r rows are from the points (n, r, 2) [pixel].
+    """
+    radius = contours.pixel_filter.radius
+    width = int(np.ceil(2.0 * radius))
+    pixel = np.ceil(film - radius - 0.5).astype(np.int64)[:, None] + np.arange(width)[:, None]
     local = pixel - contours.corner(blocks)[owner][:, None]
     within = (local >= 0) & (local < BLOCK)
     local = np.clip(local, 0, BLOCK - 1)
     rows = slot[owner[:, None, None], local[:, :, None, 0], local[:, None, :, 1]]
     rows = np.where(within[:, :, None, 0] & within[:, None, :, 1], rows, -1)
-    return rows.reshape(-1, width**2), (h[:, :, None, 0] * h[:, None, :, 1]).reshape(-1, width**2)
+    return rows.reshape(-1, width**2), pixel + 0.5 - film[:, None]
 
 
 def _radiance(
-    view: View, contours: Contours, placed: Placed, samples: _Samples, blocks: Ints, seed: int
-) -> Floats:
-    """L_bg of each sample (n, 3), one path each."""
+    view: View,
+    contours: Contours,
+    placed: Placed,
+    samples: _Samples,
+    blocks: Ints,
+    seed: int,
+    active: mi.Bool,
+) -> mi.Color3f:
+    """L_bg of each sample, one path each, to be evaluated; a lone sample's twice."""
     import mitsuba as mi
 
     block, number = (upload(mi.UInt32, widened(x)) for x in (blocks[samples.owner], samples.number))
     ray, importance = contours.ray(placed.film - ASIDE * placed.normal, samples.aperture)
     sampler = lane_sampler(block, number, seed, PATHS)
-    color = importance * radiance(view, sampler, move_ray(ray, opaque_transform(contours.pose)))
-    return download(color).T[: len(samples.number)]
+    light = radiance(view, sampler, move_ray(ray, opaque_transform(contours.pose)), active)
+    return dr.select(active, importance * light, 0.0)

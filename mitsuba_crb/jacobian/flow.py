@@ -24,7 +24,7 @@ Source: design section 4.1; Zhang et al. 2020, Path-Space Differentiable Renderi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from ..errors import SensorError
 from ..information import BLOCK
 from . import finite_difference
-from .contours import Contours, find_contours, parallax_term
+from .contours import Contours, find_contours, parallax_steps
 from .film import FilmFlow, FilmMap
 from .pairs import GOLDEN, BoxPairs, PairSample, SmoothPairs, filter_pairs
 from .paths import IntegratorTracer, PathTracer, tracer
@@ -48,21 +48,19 @@ from .pixels import (
     lattice_point,
     move_ray,
     opaque_transform,
-    render_pixels,
+    start_pixels,
     uncollected,
     upload,
 )
 from .view_term import ViewTerm
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Iterator
 
     import mitsuba as mi
 
     from ..scene import View
 
-Result: TypeAlias = "Callable[[], tuple[NDArray[np.float64], NDArray[np.float64]]]"
-"""Waits for, and returns, what `jacobian` does."""
 _USES = 4
 _FILM, *_OF_PATHS = range(_USES)
 """What `EvenNumbers` are for: film offsets; lens points, emitters and directions at the first surface."""
@@ -159,61 +157,98 @@ def jacobian(
         parameters], and the image (batches, n, 3).
     """
     prepared = prepare(view) if prepared is None else prepared
-    return start(view, pixels, prepared, spp=spp, seed=seed, batches=batches)()
+    *_, (values, image) = steps(view, pixels, prepared, spp=spp, seed=seed, batches=batches)
+    return values, image
 
 
-def start(
+def steps(
     view: View, pixels: NDArray[np.int64], prepared: Prepared, *, spp: int, seed: int, batches: int
-) -> Result:
-    """As `jacobian`, but leaves the paths to be traced in the background until the result is asked for."""
-    baseline = _baseline(view, pixels, seed)
+) -> Iterator[Any]:
+    """As `jacobian`, in four steps; the last one's item is its result.
+
+    The first readies paths, the second starts them in the background, the third waits for all that runs there,
+    the fourth sums up. So a tile can be readied, and the one before it summed up, while paths are traced.
+    """
+    options = {"spp": spp, "seed": seed, "batches": batches}
+    pilot, cell = _start_pilot(view, pixels, seed)
+    lanes_baseline = _baseline(pilot, np.repeat(cell, batches))
+    columns, image = filter_and_view_terms(view, prepared, pixels, lanes_baseline, **options)
+    yield
     contours = prepared.contours
-    beside = None
+    beside: Iterator[Any]
+    if isinstance(contours, Contours):
+        pilot = _baseline(pilot, np.arange(len(pilot[0])))
+        baseline = download(pilot).T[cell] if len(contours.piece) else np.empty((len(pixels), 3))
+        beside = parallax_steps(view, contours, pixels, baseline, **options)
+    else:
+        beside = _differences(view, contours, pixels, **options)
+    values = start_lanes(columns, image, batches)
+    next(beside)
+    yield
+    # Shares Dr.Jit's memory, but to look there later would be to wait for the next tile's paths.
+    values, image = np.asarray(values), [np.asarray(channel) for channel in image]
+    next(beside)
+    yield
+    jacobians, images = as_arrays(values, image, len(pixels), batches)
+    rows, terms = next(beside)
     if not isinstance(contours, Contours):
-        columns = [
-            finite_difference.column(view, pixels, axis, step, spp=spp, seed=seed, batches=batches)[0]
-            for axis, step in enumerate(contours.steps[:3])
-        ]
-        beside = np.stack(columns, axis=-1)
-    elif len(contours.piece):
-        beside = parallax_term(view, contours, pixels, baseline, spp=spp, seed=seed, batches=batches)
-    background = filter_and_view_terms(view, prepared, pixels, baseline, spp=spp, seed=seed, batches=batches)
-
-    def result() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        values, image = background()
-        if not isinstance(contours, Contours):
-            values[..., :3] = beside
-        elif beside is not None:
-            values[..., :6] += beside
-        return values, image
-
-    return result
+        jacobians[..., :3] = 0.0
+    jacobians[:, rows, :, : terms.shape[-1]] += terms
+    yield jacobians, images
 
 
-def _baseline(view: View, pixels: NDArray[np.int64], seed: int) -> NDArray[np.float64]:
-    """Ī_u (n, 3), the same for a pixel whatever others are asked for; finite, whatever the radiance."""
+def _differences(
+    view: View,
+    prepared: finite_difference.Prepared,
+    pixels: NDArray[np.int64],
+    *,
+    spp: int,
+    seed: int,
+    batches: int,
+) -> Iterator[Any]:
+    """Translation's columns by finite differences, in the steps of `parallax_steps`."""
+    columns = [
+        finite_difference.column(view, pixels, axis, step, spp=spp, seed=seed, batches=batches)[0]
+        for axis, step in enumerate(prepared.steps[:3])
+    ]
+    yield
+    yield
+    yield np.arange(len(pixels)), np.stack(columns, axis=-1)
+
+
+def _start_pilot(
+    view: View, pixels: NDArray[np.int64], seed: int
+) -> tuple[mi.Color3f, NDArray[np.int64]]:
+    """Sums over the pilot's paths in each cell, traced in the background, and the cell of each pixel."""
     width = view.size[0]
     corner = pixels // PILOT_CELL * PILOT_CELL
     corners, cell = np.unique(corner[:, 1] * width + corner[:, 0], return_inverse=True)
     probed = np.stack([corners % width, corners // width], axis=1)
-    image = render_pixels(view, probed, spp=PILOT_SPP, seed=seed, purpose=PILOT)[0]
-    return np.where(np.isfinite(image), image, 0.0)[cell]
+    return start_pixels(view, probed, spp=PILOT_SPP, seed=seed, purpose=PILOT), cell
+
+
+def _baseline(pilot: mi.Color3f, cell: NDArray[np.int64]) -> mi.Color3f:
+    """Ī_u at some cells, the same for a pixel whatever others are asked for; finite, whatever the radiance."""
+    import mitsuba as mi
+
+    image = dr.gather(mi.Color3f, pilot, upload(mi.UInt32, cell)) / PILOT_SPP
+    return mi.Color3f(*(dr.select(dr.isfinite(channel), channel, 0.0) for channel in image))
 
 
 def filter_and_view_terms(
     view: View,
     prepared: Prepared,
     pixels: NDArray[np.int64],
-    baseline: NDArray[np.float64],
+    baseline: mi.Color3f,
     *,
     spp: int,
     seed: int,
     batches: int,
-) -> Result:
-    """As `start`, without what happens at occluding contours.
+) -> tuple[list[mi.Color3f], mi.Color3f]:
+    """The columns and the image of each lane, to be evaluated; without the contours' part.
 
     Args:
-        baseline: (n, 3) Ī_u, any constants near the image that do not come from these random numbers.
+        baseline: Ī_u of each lane, any constants near the image that do not come from these random numbers.
     """
     import mitsuba as mi
 
@@ -233,21 +268,43 @@ def filter_and_view_terms(
             lane_sampler(pixel, batch, seed),
             EvenNumbers.of(view, pixels, batches, seed, _USES),
             centre,
-            mi.Color3f(*(upload(mi.Float, np.repeat(channel, batches)) for channel in baseline.T)),
+            baseline,
             counts,
             dr.opaque(mi.UInt32, number),
             dr.opaque(mi.UInt32, pairs.kinds if few else 1),
         )
-        dr.eval(columns, image)
+    return columns, image
 
-    def result() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        values = np.stack([np.array(component) for column in columns for component in column])
-        # Memory in the order in which the information's sums read it.
-        values = values.reshape(-1, 3, len(pixels), batches).transpose(2, 1, 3, 0)
-        values = np.ascontiguousarray(values, dtype=np.float64).transpose(2, 0, 1, 3)
-        return values, download(image).reshape(3, len(pixels), batches).transpose(2, 1, 0)
 
-    return result
+def start_lanes(columns: list[mi.Color3f], image: mi.Color3f, batches: int) -> mi.Float:
+    """Starts paths in the background.
+
+    Returns:
+        The columns in the order in which the information's sums read them: (pixel, channel, batch, column).
+    """
+    import mitsuba as mi
+
+    number = len(image[0])
+    per_channel = dr.opaque(mi.UInt32, batches)
+    lane = dr.arange(mi.UInt32, number)
+    pixel = lane // per_channel
+    first = lane + 2 * per_channel * pixel
+    values = dr.empty(mi.Float, 3 * len(columns) * number)
+    for k, column in enumerate(columns):
+        for c, component in enumerate(column):
+            place = (first + c * per_channel) * len(columns) + k
+            dr.scatter(values, component, place, mode=dr.ReduceMode.NoConflicts)
+    dr.eval(values, image)
+    return values
+
+
+def as_arrays(
+    values: Any, image: Any, pixels: int, batches: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What `jacobian` returns, of the values of `start_lanes` and the image."""
+    jacobians = np.asarray(values).reshape(pixels, 3, batches, -1).astype(np.float64)
+    images = np.array([np.asarray(channel) for channel in image], dtype=np.float64)
+    return jacobians.transpose(2, 0, 1, 3), images.reshape(3, pixels, batches).transpose(2, 1, 0)
 
 
 @dr.syntax  # type: ignore[untyped-decorator]  # Dr.Jit is untyped here

@@ -206,6 +206,10 @@ class PixelFilter:
     norm: float
     """∫ of Mitsuba's unnormalised one-dimensional filter."""
     table: OffsetTable
+    nodes: NDArray[np.float64]
+    """Midpoints of even cells of [−radius, radius] [pixel]."""
+    values: NDArray[np.float64]
+    """h there [1/pixel]."""
 
     @staticmethod
     def of(view: View) -> PixelFilter:
@@ -220,11 +224,15 @@ class PixelFilter:
         values = np.array(rfilter.eval(upload(mi.Float, middle)), dtype=np.float64)
         norm = float(values.sum() * (edges[1] - edges[0]))
         density = np.abs(np.interp(edges, middle, values))
-        return PixelFilter(rfilter, radius, norm, OffsetTable.of(density, radius))
+        return PixelFilter(rfilter, radius, norm, OffsetTable.of(density, radius), middle, values / norm)
 
     def eval(self, x: mi.Float) -> mi.Float:
         """h(x) [1/pixel] in one dimension."""
         return self.rfilter.eval(x) / self.norm
+
+    def interpolate(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """h(x) [1/pixel] in one dimension, within 1e-6, of offsets inside the radius."""
+        return np.interp(x, self.nodes, self.values)
 
     def sample(self, u: mi.Point2f) -> tuple[mi.Point2f, mi.Float]:
         """Offset from the pixel's centre [pixel] and its weight h/density, of mean one."""
@@ -322,6 +330,25 @@ def render_pixels(
     Returns:
         (batches, n, 3) float64, linear RGB radiance.
     """
+    total = start_pixels(
+        view, pixels, spp=spp, seed=seed, batches=batches, pose=pose, purpose=purpose, lattice=lattice
+    )
+    values = download(total).reshape(3, -1, batches).transpose(2, 1, 0) / spp
+    return values[:, : len(pixels)]
+
+
+def start_pixels(
+    view: View,
+    pixels: NDArray[np.int64],
+    *,
+    spp: int,
+    seed: int,
+    batches: int = 1,
+    pose: NDArray[np.float64] | None = None,
+    purpose: int = 0,
+    lattice: bool = False,
+) -> mi.Color3f:
+    """As `render_pixels`, but the sum over the paths of each lane (see `lanes`), traced in the background."""
     import mitsuba as mi
 
     wide = widened(pixels)
@@ -338,8 +365,7 @@ def render_pixels(
             lattice,
         )
         dr.eval(total)
-    values = download(total).reshape(3, len(wide), batches).transpose(2, 1, 0) / spp
-    return values[:, : len(pixels)]
+    return total
 
 
 @dr.syntax  # type: ignore[untyped-decorator]

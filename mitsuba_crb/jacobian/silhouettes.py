@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import drjit as dr
 import numpy as np
@@ -44,6 +44,21 @@ _RATE = 0.2
 below 2 % of the filter term's in lit rooms, and their time below 5 %."""
 _HIDDEN_RATE = 0.05
 """Least relative jump of depth that counts there."""
+
+
+class Sides(NamedTuple):
+    """What rays just beside points of contours see; Dr.Jit's arrays, or NumPy's of the same memory."""
+
+    jump: Any
+    """Inverse depth of the foreground minus the background's, 0 where nothing shows [1/scene unit]."""
+    shape: Any
+    """Number of the shape on the foreground's side, 0 for none."""
+    face: Any
+    """The face of it."""
+
+    def fetched(self) -> Sides:
+        """In NumPy's arrays, once everything in the background is done."""
+        return Sides(*(np.asarray(lanes) for lanes in self))
 
 
 @dataclass(frozen=True)
@@ -90,29 +105,41 @@ class Contours:
         radius = self.pixel_filter.radius
         return np.concatenate([low + 0.5 - radius, high - 0.5 + radius], axis=1)
 
-    def jump(self, placed: Placed, piece: Ints, point: Floats, aperture: Floats) -> Floats:
+    def look(self, placed: Placed, aperture: Floats) -> Sides:
+        """What rays just beside points see, one lane each as of `ray`, to be evaluated.
+
+        Args:
+            aperture: (n, 2) the sensor's lens samples in [0, 1]² that give the points' lens points.
+        """
+        import mitsuba as mi
+
+        inner, shape, face = self._first_hit(placed.film + ASIDE * placed.normal, aperture)
+        outer, _, _ = self._first_hit(placed.film - ASIDE * placed.normal, aperture)
+        contour = dr.rcp(upload(mi.Float, widened(placed.seen[:, 2])))
+        shows = dr.abs(inner - contour) < dr.minimum(inner - outer, dr.abs(contour - outer))
+        return Sides(dr.select(shows, dr.maximum(contour - outer, 0.0), 0.0), shape, face)
+
+    def jump(self, sides: Sides, placed: Placed, piece: Ints, point: Floats) -> Floats:
         """Inverse depth of the foreground minus the background's (n,), 0 where nothing shows.
 
         Args:
+            sides: from `look`, in memory.
             piece: (n,) what was placed.
             point: (n, 3) lens points.
-            aperture: (n, 2) the sensor's lens samples in [0, 1]² that give them.
         """
-        if not len(piece):
-            return np.empty(0)  # Dr.Jit does not divide empty arrays
-        inner, face = self._first_hit(placed.film + ASIDE * placed.normal, aperture)
-        outer, _ = self._first_hit(placed.film - ASIDE * placed.normal, aperture)
-        contour = 1.0 / placed.seen[:, 2]
-        apart = np.minimum(inner - outer, np.abs(contour - outer))
-        shows = (np.abs(inner - contour) < apart) & (placed.length > 0.0)
-        edge = np.flatnonzero(shows & (self.pieces.kind[piece] == EDGE))
+        jump, shape, face = (np.asarray(lanes)[: len(piece)] for lanes in sides)
+        jump = np.where(placed.length > 0.0, jump, 0.0).astype(np.float64)
+        edge = np.flatnonzero((jump > 0.0) & (self.pieces.kind[piece] == EDGE))
+        known = shape[edge] < len(self.first_face)  # not shapes inside instances
+        start = np.where(known, self.first_face[np.where(known, shape[edge], 0)], -1)
+        hit = np.where(start < 0, -1, start + face[edge])
         world = self.pose[:3, 3] + (placed.seen + point)[edge] @ self.pose[:3, :3].T
         tolerance = 2.0 * ASIDE * np.abs(self.lens.scale).max() * placed.seen[edge, 2]
-        shows[edge] = ~self.table.repeats(self.pieces.tag[piece[edge]], face[edge], world, tolerance)
-        return np.where(shows, np.maximum(contour - outer, 0.0), 0.0)
+        jump[edge[self.table.repeats(self.pieces.tag[piece[edge]], hit, world, tolerance)]] = 0.0
+        return jump
 
-    def _first_hit(self, film: Floats, aperture: Floats) -> tuple[Floats, Ints]:
-        """Inverse depth of what is seen (n,), 0 at infinity, and its face in the edge table, −1 for none."""
+    def _first_hit(self, film: Floats, aperture: Floats) -> tuple[mi.Float, mi.UInt32, mi.UInt32]:
+        """Inverse depth of what is seen, 0 at infinity, its shape's number, 0 for none, and its face."""
         import mitsuba as mi
 
         ray, _ = self.ray(film, aperture)
@@ -127,14 +154,7 @@ class Contours:
         depth = dr.fma(distance, ray.d.z, ray.o.z)
         inverse_depth = dr.select(hit.is_valid(), dr.rcp(depth), 0.0)
         shape = dr.select(hit.is_valid(), dr.reinterpret_array(mi.UInt32, hit.shape), 0)
-        dr.eval(inverse_depth, shape, hit.prim_index)
-        number = np.array(
-            shape, dtype=np.int64
-        )  # of shapes inside instances, too, which the table does not know
-        known = number < len(self.first_face)
-        start = np.where(known, self.first_face[np.where(known, number, 0)], -1)
-        face = np.where(start < 0, -1, start + np.array(hit.prim_index, dtype=np.int64))
-        return np.array(inverse_depth, dtype=np.float64)[: len(film)], face[: len(film)]
+        return inverse_depth, shape, hit.prim_index
 
     def ray(self, film: Floats, aperture: Floats) -> tuple[mi.Ray3f, mi.Color3f]:
         """Rays in the camera frame through film points (n, 2) and lens samples (n, 2), and their weights.
@@ -240,7 +260,10 @@ def _weighted(contours: Contours, block: Ints, length: Floats) -> Contours:
     for u in (0.25, 0.75):
         placed = contours.place(np.arange(n), np.full(n, u), centre, everywhere)
         near = np.maximum(near, 1.0 / placed.seen[:, 2])
-        seen += 0.5 * contours.jump(placed, np.arange(n), centre, np.full((n, 2), 0.5)) * placed.seen[:, 2]
+        if n:  # Dr.Jit does not divide empty arrays
+            sides = contours.look(placed, np.full((n, 2), 0.5))
+            dr.eval(sides)
+            seen += 0.5 * contours.jump(sides, placed, np.arange(n), centre) * placed.seen[:, 2]
     arc = length[piece]
     if contours.lens.radius == 0.0:
         # A pinhole knows how much of each piece lies in the block's reach.
