@@ -155,12 +155,11 @@ class EvenNumbers:
         of_block = upload(mi.UInt32, np.repeat(block[:, 1] * columns + block[:, 0], batches))
         sampler = lane_sampler(of_block, batch, seed, EVEN)
         local = pixels - BLOCK * block
-        rank = upload(mi.UInt32, np.repeat(local[:, 1] * BLOCK + local[:, 0], batches))
-        # Steps that permute 0 … BLOCK² − 1: adding, multiplying by an odd number, mixing high bits into low.
-        for _ in range(2):
-            random = mi.UInt32(sampler.next_1d() * 65536.0)
-            rank = (rank + (random >> 8)) * (random | 1) & (BLOCK * BLOCK - 1)
-            rank ^= rank >> 3
+        x, y = local.T
+        bits = range(int(BLOCK - 1).bit_length())
+        z_order = sum((x >> bit & 1) << 2 * bit | (y >> bit & 1) << 2 * bit + 1 for bit in bits)
+        rank = upload(mi.UInt32, np.repeat(z_order, batches))
+        rank ^= mi.UInt32(sampler.next_1d() * (BLOCK * BLOCK))
         return EvenNumbers(rank, [sampler.next_2d() for _ in range(uses)])
 
 
