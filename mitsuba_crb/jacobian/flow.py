@@ -342,13 +342,13 @@ def _sum_pairs(
         path_sampler = type(sampler)(rng)
 
         index = (i >> 1) + start
-        turn = mi.Float(index // pairs.kinds)
-        kind = index % pairs.kinds
-        along = (shift.x + turn) * _reciprocal_count(kind, counts)
-        across = shift.y + turn * GOLDEN
+        turn, kind = index // pairs.kinds, index % pairs.kinds
+        along = (shift.x + mi.Float(turn)) * _reciprocal_count(kind, counts)
+        across = shift.y + mi.Float(turn) * GOLDEN
         half = pairs.draw(kind, along - dr.floor(along), across - dr.floor(across), mirrored, counts)
 
-        place = even.rank * number + (i >> 1)
+        # Consecutive points for the pairs of a kind, of which a column is made.
+        place = even.rank * number + kind * mi.UInt32(counts[0]) + turn
         aperture, emitter, direction = (lattice_point(place, even.shifts[use]) for use in _OF_PATHS)
         first = (emitter, direction)
         film = centre + mi.Vector2f(half.offset)
