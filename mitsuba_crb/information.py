@@ -503,7 +503,7 @@ class InformationAccumulator:
             raise PixelsError("a pixel was given twice in one call")
         starts = np.flatnonzero(np.diff(block, prepend=-1))
         if self._block > 1:
-            blocks = {int(block[s]) for s in starts}
+            blocks = set(block[starts].tolist())
             if not self._blocks.isdisjoint(blocks):
                 raise PixelsError(
                     f"a {side} x {side} block came in two calls; use tile sides that are multiples of {side}"

@@ -247,6 +247,7 @@ def _numbers(version: str) -> tuple[int, ...]:
     return tuple(int(part) for part in version.split("."))
 
 
+@functools.cache
 def _mapped(version: tuple[int, ...]) -> str:
     """Path of the LLVM of this version in this process; other packages may have loaded others."""
     named = os.environ.get(VARIABLE, "")

@@ -130,13 +130,17 @@ def selected(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def tiles(mask: NDArray[np.bool_], tile: int) -> Iterator[NDArray[np.int64]]:
-    """The selected pixels (n, 2) of one tile after the other, of several at once where few are selected."""
+    """The selected pixels (n, 2) of one tile after the other, of several at once where few are selected.
+
+    Up to a quarter of a tile then, so that even a small subset has several parts, of which one can be summed
+    up while the next one's paths are traced.
+    """
     height, width = mask.shape
     held: list[NDArray[np.int64]] = []
     for top in range(0, height, tile):
         for left in range(0, width, tile):
             pixels = selected(mask[top : top + tile, left : left + tile])
-            if held and sum(map(len, held)) + len(pixels) > tile * tile:
+            if held and 4 * (sum(map(len, held)) + len(pixels)) > tile * tile:
                 yield np.concatenate(held)
                 held = []
             if len(pixels):

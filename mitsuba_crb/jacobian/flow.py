@@ -66,7 +66,7 @@ _FILM, *_OF_PATHS = range(_USES)
 """What `EvenNumbers` are for: film offsets; lens points, emitters and directions at the first surface."""
 RIM = 1e-3
 """n·q/|q| of a curved surface below which rounding decides: a tangent hit is exact to its root only."""
-PILOT_SPP = 4
+PILOT_SPP = 2
 PILOT_CELL = 4
 """The baseline Ī_u comes from this many paths through one pixel of every cell [pixel]: antithetic pairs leave
 it so little to do that more would cost more than they save."""
