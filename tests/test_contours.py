@@ -23,7 +23,6 @@ from mitsuba_crb.jacobian import finite_difference, flow
 from mitsuba_crb.jacobian.contours import find_contours, parallax_steps
 from mitsuba_crb.jacobian.curves import CIRCLE, RIM, TANGENT, Curves, Lens, cut, place
 from mitsuba_crb.jacobian.edges import EdgeTable
-from mitsuba_crb.jacobian.pixels import render_pixels
 from mitsuba_crb.jacobian.silhouettes import Contours
 from mitsuba_crb.jacobian.surfaces import edge_table
 from mitsuba_crb.scene import View, open_view

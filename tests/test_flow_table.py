@@ -7,6 +7,7 @@ benchmarks/reference.py); they share neither formula nor random numbers with flo
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -80,8 +81,10 @@ def test_without_the_parallax_term_translation_is_wrong(name: str, monkeypatch: 
     """Negative control: the comparison sees a missing term, and where it is missing."""
     from mitsuba_crb.jacobian import flow
 
-    nothing = np.empty(0, dtype=np.int64), np.empty((4, 0, 3, 6))
-    monkeypatch.setattr(flow, "parallax_steps", lambda *_, **__: iter([None, None, nothing]))
+    def nothing(*_: object, batches: int, **__: object) -> Iterator[object]:
+        return iter([None, None, (np.empty(0, dtype=np.int64), np.empty((batches, 0, 3, 6)))])
+
+    monkeypatch.setattr(flow, "parallax_steps", nothing)
     ratio = np.diag(compared(name, 256)[0])
     assert np.abs(ratio[:3]).max() > 0.1
     assert np.all(np.abs(ratio[3:]) < 0.06)

@@ -166,8 +166,8 @@ def steps(
 ) -> Iterator[Any]:
     """As `jacobian`, in four steps; the last one's item is its result.
 
-    The first readies paths, the second starts them in the background, the third waits for all that runs there,
-    the fourth sums up. So a tile can be readied, and the one before it summed up, while paths are traced.
+    The first readies paths, the second starts them in the background, the third waits for all that runs
+    there, the fourth sums up. So one tile can be readied, and the one before summed up, while paths are traced.
     """
     options = {"spp": spp, "seed": seed, "batches": batches}
     pilot, cell = _start_pilot(view, pixels, seed)
@@ -216,9 +216,7 @@ def _differences(
     yield np.arange(len(pixels)), np.stack(columns, axis=-1)
 
 
-def _start_pilot(
-    view: View, pixels: NDArray[np.int64], seed: int
-) -> tuple[mi.Color3f, NDArray[np.int64]]:
+def _start_pilot(view: View, pixels: NDArray[np.int64], seed: int) -> tuple[mi.Color3f, NDArray[np.int64]]:
     """Sums over the pilot's paths in each cell, traced in the background, and the cell of each pixel."""
     width = view.size[0]
     corner = pixels // PILOT_CELL * PILOT_CELL
@@ -228,7 +226,7 @@ def _start_pilot(
 
 
 def _baseline(pilot: mi.Color3f, cell: NDArray[np.int64]) -> mi.Color3f:
-    """Ī_u at some cells, the same for a pixel whatever others are asked for; finite, whatever the radiance."""
+    """Ī_u in some cells, the same for a pixel whatever others are asked for, finite whatever the radiance."""
     import mitsuba as mi
 
     image = dr.gather(mi.Color3f, pilot, upload(mi.UInt32, cell)) / PILOT_SPP

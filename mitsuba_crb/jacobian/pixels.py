@@ -135,8 +135,9 @@ def lattice_point(number: mi.UInt32, shift: mi.Point2f) -> mi.Point2f:
 class EvenNumbers:
     """Random points of [0, 1)² that the pixels of a film block share out evenly among them, batch by batch.
 
-    The pixels' errors then cancel in the block's information. A block's lattice has a random shift, and its
-    pixels a random order: were that the same in two batches, so would their errors be, pixel by pixel.
+    The pixels' errors then cancel in the block's information, and first of all those of neighbours, whose
+    points follow one another: they stand in z-order from a random one of them (Ahmed and Wonka 2020). The
+    lattice's random shift, one for each block and batch, makes every point uniform, and batches independent.
     """
 
     rank: mi.UInt32
@@ -156,7 +157,7 @@ class EvenNumbers:
         sampler = lane_sampler(of_block, batch, seed, EVEN)
         local = pixels - BLOCK * block
         x, y = local.T
-        bits = range(int(BLOCK - 1).bit_length())
+        bits = range((BLOCK - 1).bit_length())
         z_order = sum((x >> bit & 1) << 2 * bit | (y >> bit & 1) << 2 * bit + 1 for bit in bits)
         rank = upload(mi.UInt32, np.repeat(z_order, batches))
         rank ^= mi.UInt32(sampler.next_1d() * (BLOCK * BLOCK))
