@@ -85,9 +85,9 @@ def test_without_the_parallax_term_translation_is_wrong(name: str, monkeypatch: 
         return iter([None, None, (np.empty(0, dtype=np.int64), np.empty((batches, 0, 3, 6)))])
 
     monkeypatch.setattr(flow, "parallax_steps", nothing)
-    ratio = np.diag(compared(name, 256)[0])
-    assert np.abs(ratio[:3]).max() > 0.1
-    assert np.all(np.abs(ratio[3:]) < 0.06)
+    difference, error = (np.diag(matrix) for matrix in compared(name, 256))
+    assert np.all(np.abs(difference / error)[[0, 2]] > 6.0)
+    assert np.all(np.abs(difference / error)[3:] < 3.0)
 
 
 @pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")

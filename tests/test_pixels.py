@@ -117,7 +117,7 @@ def test_depth_is_along_the_optical_axis() -> None:
 
 
 def test_the_pixels_of_a_block_share_out_random_numbers_evenly() -> None:
-    """Orders are permutations that keep neighbours together; numbers are uniform; a block's mean is steady."""
+    """Orders are permutations that keep neighbours together; a block's uniform numbers are even."""
     batches, count = 16, BLOCK * BLOCK
     with open_view(textured_wall(sensor=camera(4 * BLOCK, 4 * BLOCK))) as view:
         even = EvenNumbers.of(view, _grid(view), batches, 5, 2)
@@ -131,7 +131,6 @@ def test_the_pixels_of_a_block_share_out_random_numbers_evenly() -> None:
     quads = ranks.reshape(-1, BLOCK // 2, 2, BLOCK // 2, 2) // 4
     assert np.array_equal(quads, np.broadcast_to(quads[:, :, :1, :, :1], quads.shape))
     assert len(np.unique(ranks, axis=0)) > 0.9 * count
-    assert np.abs(np.corrcoef(ranks[:40])[np.triu_indices(40, 1)]).mean() < 2.0 / np.sqrt(count)
     assert np.all(np.abs(x.mean(axis=0) - 0.5) < 5.0 * np.sqrt(1.0 / 12.0 / len(x)))
     independent = (1.0 / 5.0 - 1.0 / 9.0) / count
     assert (x**2).mean(axis=1).var() < 0.2 * independent

@@ -166,8 +166,8 @@ def steps(
 ) -> Iterator[Any]:
     """As `jacobian`, in four steps; the last one's item is its result.
 
-    The first readies paths, the second starts them in the background, the third waits for all that runs
-    there, the fourth sums up. So one tile can be readied, and the one before summed up, while paths are traced.
+    The first readies paths, the second starts them in the background, the third waits for what runs there,
+    the fourth sums up. So one tile can be readied, and the one before summed up, while paths are traced.
     """
     options = {"spp": spp, "seed": seed, "batches": batches}
     pilot, cell = _start_pilot(view, pixels, seed)
