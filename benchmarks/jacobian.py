@@ -48,7 +48,7 @@ PARTS = ("sides", "precision", "pixels", "subset", "cold")
 DIFFUSE = ("textured_room", "textured_wall", "boxes")
 GLOSSY = "textured_wall, rough conductor"
 SCENES = (*DIFFUSE, GLOSSY)
-SMOOTH = ("textured_wall", "striped_wall")
+SMOOTH = ("textured_wall",)
 JUMPING = ("textured_room", "boxes", "checkerboard_wall", "shadows", "warehouse")
 """Scenes of "precision": without, and with, edges, silhouettes or shadows that `forward` cannot see."""
 ROUNDS = 5
