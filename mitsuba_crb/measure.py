@@ -372,8 +372,11 @@ class Measurement:
         """Each tile's pixels and what the method says of them; flow takes its steps as `flow.steps` says."""
         module, running = _module(self.method), None
         for part in subset.tiles(self.mask, self.tile):
-            call = partial(module.jacobian, self.view, part, prepared=self.prepared, **paths)
-            steps = module.steps(*call.args, **call.keywords) if self.method == "flow" else _at_once(call)
+            options = {"prepared": self.prepared, **paths}
+            if self.method == "flow":
+                steps = module.steps(self.view, part, **options)
+            else:
+                steps = _at_once(partial(module.jacobian, self.view, part, **options))
             next(steps)
             if running is not None:
                 next(running[1])

@@ -123,11 +123,11 @@ class Contours:
         """Inverse depth of the foreground minus the background's (n,), 0 where nothing shows.
 
         Args:
-            sides: from `look`, in memory.
+            sides: from `look`, fetched.
             piece: (n,) what was placed.
             point: (n, 3) lens points.
         """
-        jump, shape, face = (np.asarray(lanes)[: len(piece)] for lanes in sides)
+        jump, shape, face = (lanes[: len(piece)] for lanes in sides)
         jump = np.where(placed.length > 0.0, jump, 0.0).astype(np.float64)
         edge = np.flatnonzero((jump > 0.0) & (self.pieces.kind[piece] == EDGE))
         known = shape[edge] < len(self.first_face)  # not shapes inside instances
@@ -263,6 +263,7 @@ def _weighted(contours: Contours, block: Ints, length: Floats) -> Contours:
         if n:  # Dr.Jit does not divide empty arrays
             sides = contours.look(placed, np.full((n, 2), 0.5))
             dr.eval(sides)
+            sides = sides.fetched()
             seen += 0.5 * contours.jump(sides, placed, np.arange(n), centre) * placed.seen[:, 2]
     arc = length[piece]
     if contours.lens.radius == 0.0:
