@@ -7,7 +7,7 @@ Central differences at steps h and 2h with the same random numbers, dI/dξ = (4 
 white texture under the default filter the information is low by about 4 h⁴, 0.1 % at 0.12 pixels. Box and
 tent filters have corners, where the error is linear in h: 2 % at 0.12 and 0.2 % at 0.06 pixels in a scene
 that is one long edge. How much the extrapolation changes is in the file (`step_effect`), so that the rest can
-be judged. Film offsets come from a lattice, which saves a factor of 25 or more in paths where edges make the
+be judged. Film offsets are Sobol' points, which saves a factor of 25 or more in paths where edges make the
 noise. Runs with further seeds are averaged into the file; one that was made with other settings, or of
 another scene, is refused.
 """
@@ -49,7 +49,7 @@ def extrapolated(name: str, *, spp: int, seed: int, step: float) -> tuple[Fisher
     options = {"size": row.size, "spp": spp, "seed": seed, "batches": BATCHES}
     with measurement(row.scene(), method="finite_difference", **options) as measured:
         for pixels in (step, 2.0 * step):
-            measured.prepared = finite_difference.prepare(measured.view, pixels, lattice=True)
+            measured.prepared = finite_difference.prepare(measured.view, pixels, even=True)
             jacobians.append(measured.jacobian())
     fine, coarse = jacobians
     values = (4.0 * fine.batch_values - coarse.batch_values) / 3.0

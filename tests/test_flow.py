@@ -16,6 +16,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from scipy.stats import norm
 from small_scenes import T, camera, scene, texture, textured_wall, wall
 
 from mitsuba_crb import pose_bound, se3
@@ -181,10 +182,10 @@ def test_pairs_have_the_moments_of_the_filter_and_its_derivative(name: str) -> N
         rng = mi.PCG32(n, 7, 3)
         value, slopes, cubes = np.zeros(n), np.zeros((2, n)), np.zeros((2, n))
         for kind in range(pairs.kinds):
-            numbers = mi.Float(rng.next_float32()), mi.Float(rng.next_float32())
+            point = mi.Point2f(rng.next_float32(), rng.next_float32())
             for mirrored in (False, True):
                 half = pairs.draw(
-                    dr.full(mi.UInt32, kind, n), *numbers, mi.Bool(mirrored), [mi.Float(1.0)] * pairs.kinds
+                    dr.full(mi.UInt32, kind, n), point, mi.Bool(mirrored), [mi.Float(1.0)] * pairs.kinds
                 )
                 offset = np.array(half.offset, dtype=np.float64)
                 gradient = np.array(half.gradient, dtype=np.float64)
@@ -194,6 +195,27 @@ def test_pairs_have_the_moments_of_the_filter_and_its_derivative(name: str) -> N
     checks = [(value, 1.0), *((s, -1.0) for s in slopes), *((c, -3.0 * second) for c in cubes)]
     for samples, expected in checks:
         assert samples.mean() == pytest.approx(expected, abs=5 * samples.std() / np.sqrt(n) + 2e-4)
+
+
+def test_pairs_are_drawn_where_the_gaussian_changes() -> None:
+    """Quantiles of |x| against the closed form of ∫|h'| (1 + 6x/r) dx; none waits in the flat tail.
+
+    h' = −x/σ² g(x) and ∫x²/σ² g dx = ∫g dx − x g(x), g the normal density.
+    """
+    n = 1 << 16
+    with open_view(scene(sensor=with_filter("gaussian"))) as view:
+        pairs = filter_pairs(PixelFilter.of(view))
+        points = mi.Point2f((dr.arange(mi.Float, n) + 0.5) / n, 0.5)
+        half = pairs.draw(dr.zeros(mi.UInt32, n), points, mi.Bool(False), [mi.Float(1.0)] * 2)
+        drawn = np.sort(np.abs(np.array(half.offset.x, dtype=np.float64)))
+    sigma, radius = 0.5, 2.0
+    x = np.linspace(0.0, radius, 4001)
+    density = norm.pdf(x, scale=sigma)
+    mass = density[0] - density + 6.0 / radius * (norm.cdf(x, scale=sigma) - 0.5 - x * density)
+    expected = np.interp((np.arange(n) + 0.5) / n, mass / mass[-1], x)
+    middle = slice(n // 100, -n // 100)
+    assert drawn[middle] == pytest.approx(expected[middle], abs=5e-3)
+    assert np.mean(drawn > 1.8) == pytest.approx(np.mean(expected > 1.8), rel=0.1)
 
 
 def test_a_filter_that_jumps_at_its_border_is_refused_by_name() -> None:

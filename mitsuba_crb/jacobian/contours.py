@@ -30,7 +30,6 @@ from scipy.sparse import csr_array
 
 from ..information import BLOCK
 from .pixels import (
-    LATTICE,
     download,
     lane_sampler,
     move_ray,
@@ -57,6 +56,8 @@ Ints = NDArray[np.int64]
 
 POINTS, PATHS = 0x434F4E54, 0x50415448
 """Purposes of the random numbers: where on the contours, and which light paths."""
+_STEPS = np.array([0.7548776662466927, 0.5698402909980532])
+"""1/g and 1/g², g³ = g + 1: multiples modulo 1 fill the lens evenly (Roberts 2018)."""
 _CHUNK = 1 << 19
 """Samples held at once, about."""
 
@@ -216,7 +217,7 @@ def _draw(contours: Contours, blocks: Ints, count: Ints, seed: int, batches: int
     low, high = contours.cumulative[first], contours.cumulative[last]
     target = low[owner] + ((high - low) / count)[owner] * (turn + start[:, 0])
     pair = np.searchsorted(contours.cumulative, target, side="right") - 1
-    aperture = (start[:, 1:] + turn[:, None] * (np.array(LATTICE) / 2.0**32)) % 1.0
+    aperture = (start[:, 1:] + turn[:, None] * _STEPS) % 1.0
     return _Samples(
         owner=owner,
         number=number,

@@ -35,13 +35,13 @@ class Prepared:
 
     steps: NDArray[np.float64]
     """(6,) step of each twist component, translation [scene unit] then rotation [rad]."""
-    lattice: bool = False
-    """Whether film offsets come from a lattice, which resolves edges with far fewer paths."""
+    even: bool = False
+    """Whether film offsets are Sobol' points, which resolve edges with far fewer paths."""
     block: int = 1
     """Side of the film blocks whose errors are independent [pixel]: every pixel has its own samples."""
 
 
-def prepare(view: View, step_pixels: float = STEP_PIXELS, lattice: bool = False) -> Prepared:
+def prepare(view: View, step_pixels: float = STEP_PIXELS, even: bool = False) -> Prepared:
     """The steps that move the image by `step_pixels`."""
     focal = view.focal_pixels
     radius = float(np.hypot(*view.size)) / np.sqrt(12.0)
@@ -49,7 +49,7 @@ def prepare(view: View, step_pixels: float = STEP_PIXELS, lattice: bool = False)
     depth = visible_depth(view)
     near, median = np.percentile(depth, [NEAR_PERCENTILE, 50.0]) if depth.size else (1.0, 1.0)
     shift = np.minimum(angle * near, 0.05 * median)
-    return Prepared(np.concatenate([shift, angle]), lattice)
+    return Prepared(np.concatenate([shift, angle]), even)
 
 
 def jacobian(
@@ -84,7 +84,7 @@ def jacobian(
             spp=spp,
             seed=seed,
             batches=batches,
-            lattice=prepared.lattice,
+            even=prepared.even,
         )
         image += mean / 6.0
     return values, image
@@ -99,7 +99,7 @@ def column(
     spp: int,
     seed: int,
     batches: int,
-    lattice: bool = False,
+    even: bool = False,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """dI/dξ_axis (batches, n, 3) in the camera frame, and the mean of its two renders, likewise."""
     twist = np.zeros(6)
@@ -112,7 +112,7 @@ def column(
             seed=seed,
             batches=batches,
             pose=view.pose @ se3.exp(xi),
-            lattice=lattice,
+            even=even,
         )
         for xi in (twist, -twist)
     )

@@ -35,7 +35,7 @@ from ..information import BLOCK
 from . import finite_difference
 from .contours import Contours, find_contours, parallax_steps
 from .film import FilmFlow, FilmMap
-from .pairs import GOLDEN, BoxPairs, PairSample, SmoothPairs, filter_pairs
+from .pairs import BoxPairs, PairSample, SmoothPairs, filter_pairs
 from .paths import IntegratorTracer, PathTracer, tracer
 from .pixels import (
     PILOT,
@@ -45,13 +45,13 @@ from .pixels import (
     download,
     lane_sampler,
     lanes,
-    lattice_point,
     move_ray,
     opaque_transform,
     start_pixels,
     uncollected,
     upload,
 )
+from .sobol import sobol_point
 from .view_term import ViewTerm
 
 if TYPE_CHECKING:
@@ -147,8 +147,9 @@ def jacobian(
 
     Args:
         pixels: (n, 2) columns and rows; those of one film block must come in one call.
-        spp: paths per pixel over all batches. Paths come in pairs, alternately along x and y, so a multiple
-            of 4 per batch is best; an odd last path of a batch is not traced, a batch of one path traces two.
+        spp: paths per pixel over all batches. Paths come in pairs, alternately along x and y, and share
+            their random numbers out best by powers of two: 4, 8, 16, … per batch. An odd last path of a
+            batch is not traced, a batch of one path traces two.
             Where the integrator sees volumes, translation traces six times as many besides.
         prepared: what `prepare` returned for this view, so that many tiles prepare once.
 
@@ -325,7 +326,7 @@ def _sum_pairs(
     world_to_camera = transform.inverse()
     columns = [mi.Color3f(0.0) for _ in range(6 + len(prepared.film_flows))]
     image = mi.Color3f(0.0)
-    shift = lattice_point(even.rank, even.shifts[_FILM])
+    turns = (number + (pairs.kinds - 1)) // pairs.kinds
     start = mi.UInt32(sampler.next_1d() * mi.Float(starts))
     rng = mi.PCG32(sampler.rng)
     pair_rng = mi.PCG32(rng)
@@ -341,13 +342,11 @@ def _sum_pairs(
 
         index = (i >> 1) + start
         turn, kind = index // pairs.kinds, index % pairs.kinds
-        along = (shift.x + mi.Float(turn)) * _reciprocal_count(kind, counts)
-        across = shift.y + mi.Float(turn) * GOLDEN
-        half = pairs.draw(kind, along - dr.floor(along), across - dr.floor(across), mirrored, counts)
-
-        # Consecutive points for the pairs of a kind, of which a column is made.
-        place = even.rank * number + kind * mi.UInt32(counts[0]) + turn
-        aperture, emitter, direction = (lattice_point(place, even.shifts[use]) for use in _OF_PATHS)
+        # One pixel's points of a kind, of which a column is made, follow one another, then its neighbour's.
+        place = (kind * (BLOCK * BLOCK) + even.rank) * turns + turn
+        points = [sobol_point(place, seeds) for seeds in even.seeds]
+        half = pairs.draw(kind, points[_FILM], mirrored, counts)
+        aperture, emitter, direction = (points[use] for use in _OF_PATHS)
         first = (emitter, direction)
         film = centre + mi.Vector2f(half.offset)
         ray, importance = camera_ray(view, film, aperture)
@@ -385,13 +384,6 @@ def _sum_pairs(
                 columns[k + 3] += change * turning[k]
         i += 1
     return columns, image + baseline
-
-
-def _reciprocal_count(kind: mi.UInt32, counts: list[mi.Float]) -> mi.Float:
-    count = counts[-1]
-    for k in range(len(counts) - 1):
-        count = dr.select(kind == k, counts[k], count)
-    return dr.rcp(count)
 
 
 def _tangent(direction: mi.Vector3f, turn: mi.Float, mirrored: mi.Bool) -> mi.Vector3f:

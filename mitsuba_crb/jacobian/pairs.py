@@ -1,6 +1,6 @@
 """Film offsets for the filter term: antithetic pairs drawn from the filter's derivative.
 
-    ∫ ∂h/∂x g dv ≈ mean of ½ Σ_± (∂h/∂x)/p g(±x, y),   p(x, y) ∝ |h'(x)| (1 + 2|x|/r) q(y),   q ∝ |h|.
+    ∫ ∂h/∂x g dv ≈ mean of ½ Σ_± (∂h/∂x)/p g(±x, y),   p(x, y) ∝ |h'(x)| (1 + 6|x|/r) q(y),   q ∝ |h|.
 
 The two halves of a pair mirror each other in the pixel's axis: ∂h/∂x changes its sign and g hardly changes,
 so all that they share (with the same random numbers: light, noise, baseline) cancels. Edges are best met by
@@ -8,7 +8,6 @@ p ∝ |h'|, slopes by p ∝ |x h'|, where every pair measures the same; p, r the
 two and loses little to either. The same pairs give ∫ h g by the balance heuristic over both axes; one axis
 alone would have infinite variance, because p vanishes with h' where h does not. A box filter's derivative is
 two edges, so it also needs pairs inside the pixel.
-Offsets along a pixel's pairs follow a randomly shifted rank-1 lattice: unbiased, and less noise.
 
 Source: design section 4.1; antithetic sampling, Zhang et al. 2021; filter derivatives, Yu et al. 2022.
 """
@@ -27,9 +26,10 @@ from .pixels import PixelFilter, upload
 if TYPE_CHECKING:
     import mitsuba as mi
 
-GOLDEN = 0.6180339887498949
 CELLS = 2048
 RATIO_CELLS = 256
+GRID = 1024
+"""Cells of [0, radius] that h is linear in."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,8 @@ class SmoothPairs:
         import mitsuba as mi
 
         radius = pixel_filter.radius
-        grid = np.linspace(0.0, radius, 1 << 15)
+        # Finer, the differences of float32 values would be noise in the tail, and p would send pairs there.
+        grid = np.linspace(0.0, radius, GRID + 1)
         h = np.array(pixel_filter.eval(upload(mi.Float, grid)), dtype=np.float64)
         if abs(h[-2]) > 1e-3 * h[0]:
             raise FilmError(
@@ -80,7 +81,7 @@ class SmoothPairs:
                 "method 'flow' knows box, tent, gaussian, mitchell, catmullrom and lanczos"
             )
         h[-1] = 0.0
-        far = 1.0 + (grid[1:] + grid[:-1]) / radius
+        far = 1.0 + 3.0 * (grid[1:] + grid[:-1]) / radius
         mass = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(h)) * far)])
         # Rounding makes h's flat parts noisy; a little uniform mass keeps the nodes apart.
         mass = mass / mass[-1] + 1e-4 * grid / radius
@@ -98,25 +99,25 @@ class SmoothPairs:
         )
 
     def draw(
-        self, kind: mi.UInt32, along: mi.Float, across: mi.Float, mirrored: mi.Bool, counts: list[mi.Float]
+        self, kind: mi.UInt32, point: mi.Point2f, mirrored: mi.Bool, counts: list[mi.Float]
     ) -> PairSample:
         """One half of a pair along x (kind 0) or y (kind 1).
 
         Args:
-            along, across: uniform numbers in [0, 1), the same for both halves.
+            point: uniform in [0, 1)², along and across the axis, the same for both halves.
             counts: (expected) number of pairs of each kind.
         """
         import mitsuba as mi
 
         along_x = kind == 0
-        scaled = along * CELLS
+        scaled = point.x * CELLS
         cell = dr.minimum(mi.UInt32(scaled), CELLS - 1)
         low, high = dr.gather(mi.Float, self.nodes, cell), dr.gather(mi.Float, self.nodes, cell + 1)
         h_low, h_high = dr.gather(mi.Float, self.values, cell), dr.gather(mi.Float, self.values, cell + 1)
         fraction = scaled - mi.Float(cell)
         r = dr.fma(fraction, high - low, low)
         h_r = dr.fma(fraction, h_high - h_low, h_low)
-        s, q = self.pixel_filter.table.sample(across)
+        s, q = self.pixel_filter.table.sample(point.y)
         h_s = self.pixel_filter.eval(s)
         # |x| has density 1/(N width), x half of it, and each of the two halves half the pair's weight.
         weight = h_s / q * (CELLS * dr.rcp(dr.select(along_x, counts[0], counts[1])))
@@ -148,13 +149,13 @@ class BoxPairs:
     kinds = 3
 
     def draw(
-        self, kind: mi.UInt32, along: mi.Float, across: mi.Float, mirrored: mi.Bool, counts: list[mi.Float]
+        self, kind: mi.UInt32, point: mi.Point2f, mirrored: mi.Bool, counts: list[mi.Float]
     ) -> PairSample:
         """One half of a pair on the edges that x (kind 0) or y (kind 1) crosses, or inside (kind 2)."""
         import mitsuba as mi
 
         side = 2.0 * self.radius
-        x, y = (along - 0.5) * side, (across - 0.5) * side
+        x, y = (point.x - 0.5) * side, (point.y - 0.5) * side
         inside = mi.Point2f(x, y)
         point = dr.select(
             kind == 0,

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..information import BLOCK
+from .sobol import SEEDS, sobol_point
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
 
 PILOT, EVEN = 0x50494C4F, 0x4556454E
 """Purposes of the random numbers of pilot renders, and of what a block's pixels share; Jacobians use 0."""
-LATTICE = (3242174889, 2447445414)
-"""2³² times 1/g and 1/g², g³ = g + 1: multiples modulo 1 fill the unit square evenly (Roberts 2018)."""
 
 
 @functools.cache
@@ -122,28 +121,19 @@ def lane_sampler(pixel: mi.UInt32, batch: mi.UInt32, seed: int, purpose: int = 0
     return _sampler_class()(mi.PCG32(1, state, stream))
 
 
-def lattice_point(number: mi.UInt32, shift: mi.Point2f) -> mi.Point2f:
-    """One of the points in [0, 1)² of the lattice with this shift; consecutive ones lie evenly."""
-    import mitsuba as mi
-
-    # In integers, whose multiples are exact modulo 1.
-    u = shift + mi.Point2f(*((number * mi.UInt32(step) >> 8) / 2.0**24 for step in LATTICE))
-    return mi.Point2f(u - dr.floor(u))
-
-
 @dataclass(frozen=True)
 class EvenNumbers:
     """Random points of [0, 1)² that the pixels of a film block share out evenly among them, batch by batch.
 
     The pixels' errors then cancel in the block's information, and first of all those of neighbours, whose
-    points follow one another: they stand in z-order from a random one of them (Ahmed and Wonka 2020). The
-    lattice's random shift, one for each block and batch, makes every point uniform, and batches independent.
+    points follow one another in the sequence: they stand in z-order (Ahmed and Wonka 2020). Every block and
+    batch has seeds of its own, so that batches are independent.
     """
 
     rank: mi.UInt32
     """Of the lane's pixel in its block."""
-    shifts: list[mi.Point2f]
-    """For each use."""
+    seeds: list[list[mi.UInt32]]
+    """Of the sequence of each use."""
 
     @staticmethod
     def of(view: View, pixels: NDArray[np.int64], batches: int, seed: int, uses: int) -> EvenNumbers:
@@ -160,8 +150,11 @@ class EvenNumbers:
         bits = range((BLOCK - 1).bit_length())
         z_order = sum((x >> bit & 1) << 2 * bit | (y >> bit & 1) << 2 * bit + 1 for bit in bits)
         rank = upload(mi.UInt32, np.repeat(z_order, batches))
-        rank ^= mi.UInt32(sampler.next_1d() * (BLOCK * BLOCK))
-        return EvenNumbers(rank, [sampler.next_2d() for _ in range(uses)])
+        return EvenNumbers(rank, [_sequence_seeds(sampler) for _ in range(uses)])
+
+
+def _sequence_seeds(sampler: mi.Sampler) -> list[mi.UInt32]:
+    return [sampler.rng.next_uint32() for _ in range(SEEDS)]
 
 
 @dataclass(frozen=True)
@@ -317,7 +310,7 @@ def render_pixels(
     batches: int = 1,
     pose: NDArray[np.float64] | None = None,
     purpose: int = 0,
-    lattice: bool = False,
+    even: bool = False,
 ) -> NDArray[np.float64]:
     """Estimate I_u at some pixels.
 
@@ -325,13 +318,13 @@ def render_pixels(
         pixels: (n, 2) columns and rows.
         spp: paths per pixel and batch.
         pose: `world_from_camera`; the view's own if None.
-        lattice: film offsets from a randomly shifted lattice instead of independent ones: still unbiased.
+        even: film offsets from a pixel's own Sobol' points instead of independent ones: still unbiased.
 
     Returns:
         (batches, n, 3) float64, linear RGB radiance.
     """
     total = start_pixels(
-        view, pixels, spp=spp, seed=seed, batches=batches, pose=pose, purpose=purpose, lattice=lattice
+        view, pixels, spp=spp, seed=seed, batches=batches, pose=pose, purpose=purpose, even=even
     )
     values = download(total).reshape(3, -1, batches).transpose(2, 1, 0) / spp
     return values[:, : len(pixels)]
@@ -346,7 +339,7 @@ def start_pixels(
     batches: int = 1,
     pose: NDArray[np.float64] | None = None,
     purpose: int = 0,
-    lattice: bool = False,
+    even: bool = False,
 ) -> mi.Color3f:
     """As `render_pixels`, but the sum over the paths of each lane (see `lanes`), traced in the background."""
     import mitsuba as mi
@@ -362,7 +355,7 @@ def start_pixels(
             centre,
             transform,
             dr.opaque(mi.UInt32, spp),
-            lattice,
+            even,
         )
         dr.eval(total)
     return total
@@ -376,19 +369,19 @@ def sum_samples(
     centre: mi.Point2f,
     transform: mi.Transform4f,
     spp: mi.UInt32,
-    lattice: bool,
+    even: bool,
 ) -> mi.Color3f:
     """Sum of weighted radiance over each lane's samples; equal kernels for all tiles, seeds and poses."""
     import mitsuba as mi
 
     total = mi.Color3f(0.0)
     i = mi.UInt32(0)
-    shift = mi.Point2f(0.0)
-    if dr.hint(lattice, mode="scalar"):
-        shift = sampler.next_2d()
+    seeds = [mi.UInt32(0)] * SEEDS
+    if dr.hint(even, mode="scalar"):
+        seeds = _sequence_seeds(sampler)
     while dr.hint(i < spp, exclude=[view, pixel_filter], label="pixel samples"):
-        if dr.hint(lattice, mode="scalar"):
-            offset, weight = pixel_filter.sample(lattice_point(i, shift))
+        if dr.hint(even, mode="scalar"):
+            offset, weight = pixel_filter.sample(sobol_point(i, seeds))
         else:
             offset, weight = pixel_filter.sample(sampler.next_2d())
         aperture = sampler.next_2d()
