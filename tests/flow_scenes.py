@@ -241,7 +241,7 @@ ROWS: dict[str, Row] = {
     "nearest": Row(lit(wall=wall(texture(filter_type="nearest")))),
     "checkerboard": Row(lit(wall=wall(CHECKERS))),
     "normal_map": Row(sloping(NORMAL_MAP)),
-    "bump_map": Row(sloping(BUMP_MAP), spp=65536),
+    "bump_map": Row(sloping(BUMP_MAP), spp=262144),
     "smooth_mesh": Row(
         before_wall(
             ball=mesh(*ball_mesh(8, 6), GREY, ball_mesh(8, 6)[0], T().translate([-0.1, 0.15, 2.0]).scale(0.5))
