@@ -10,6 +10,7 @@ new pose nor a geo-referenced origin costs digits or a new kernel.
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -25,6 +26,8 @@ from .errors import FilmError, IntegratorError, OptionError, PoseError, SceneErr
 
 if TYPE_CHECKING:
     import mitsuba as mi
+
+    from .jacobian.pixels import PixelFilter
 
 VARIANT = "llvm_ad_rgb"
 SENSORS = {"PerspectiveCamera": "perspective", "ThinLensCamera": "thinlens"}
@@ -143,6 +146,13 @@ class View:
         full_width = float(params["film.size"][0])
         x_fov = np.radians(float(params["x_fov"][0]))
         return full_width / (2.0 * float(np.tan(x_fov / 2.0)))
+
+    @functools.cached_property
+    def pixel_filter(self) -> PixelFilter:
+        """The film's reconstruction filter, tabulated once, for it waits for what runs in the background."""
+        from .jacobian.pixels import PixelFilter
+
+        return PixelFilter.of(self.sensor.film().rfilter())
 
     @property
     def near_clip(self) -> float:

@@ -24,7 +24,6 @@ from mitsuba_crb.errors import FilmError, PrecisionWarning
 from mitsuba_crb.jacobian import flow, paths
 from mitsuba_crb.jacobian.pairs import PairSample, filter_pairs
 from mitsuba_crb.jacobian.pixels import (
-    PixelFilter,
     camera_ray,
     lane_sampler,
     lanes,
@@ -174,7 +173,7 @@ def test_pairs_have_the_moments_of_the_filter_and_its_derivative(name: str) -> N
     """∫h = 1, ∫∂h/∂x x = −1, ∫∂h/∂x x³ = −3 ∫h x²; 2²⁰ pairs, to 5 standard errors."""
     n = 1 << 20
     with open_view(scene(sensor=with_filter(name))) as view:
-        pixel_filter = PixelFilter.of(view)
+        pixel_filter = view.pixel_filter
         pairs = filter_pairs(pixel_filter)
         x = np.linspace(-pixel_filter.radius, pixel_filter.radius, 200001)
         h = np.array(pixel_filter.eval(mi.Float(x.astype(np.float32))), dtype=np.float64)
@@ -204,7 +203,7 @@ def test_pairs_are_drawn_where_the_gaussian_changes() -> None:
     """
     n = 1 << 16
     with open_view(scene(sensor=with_filter("gaussian"))) as view:
-        pairs = filter_pairs(PixelFilter.of(view))
+        pairs = filter_pairs(view.pixel_filter)
         points = mi.Point2f((dr.arange(mi.Float, n) + 0.5) / n, 0.5)
         half = pairs.draw(dr.zeros(mi.UInt32, n), points, mi.Bool(False), [mi.Float(1.0)] * 2)
         drawn = np.sort(np.abs(np.array(half.offset.x, dtype=np.float64)))
@@ -221,7 +220,7 @@ def test_pairs_are_drawn_where_the_gaussian_changes() -> None:
 def test_a_filter_that_jumps_at_its_border_is_refused_by_name() -> None:
     """Mitsuba has none but the box; half a tent stands for one."""
     with open_view(scene(sensor=with_filter("tent"))) as view:
-        half = dataclasses.replace(PixelFilter.of(view), radius=0.5)
+        half = dataclasses.replace(view.pixel_filter, radius=0.5)
         with pytest.raises(FilmError, match=r"TentFilter jumps at its border.* knows box, tent"):
             filter_pairs(half)
 

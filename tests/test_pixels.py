@@ -14,7 +14,6 @@ from mitsuba_crb.information import BLOCK
 from mitsuba_crb.jacobian.pixels import (
     EvenNumbers,
     OffsetTable,
-    PixelFilter,
     first_hits,
     render_pixels,
 )
@@ -39,7 +38,7 @@ def _with_filter(name: str) -> dict[str, Any]:
 def test_offsets_integrate_the_filter(name: str) -> None:
     """∫h = 1, ∫h x = 0, ∫h x² and ∫h cos(3x) by quadrature, at 4 standard errors of 2^18 samples."""
     with open_view(_with_filter(name)) as view:
-        pixel_filter = PixelFilter.of(view)
+        pixel_filter = view.pixel_filter
         rng = mi.PCG32(1 << 18)
         offset, weight = pixel_filter.sample(mi.Point2f(rng.next_float32(), rng.next_float32()))
         w, x, y = (np.array(value, dtype=np.float64) for value in (weight, offset.x, offset.y))

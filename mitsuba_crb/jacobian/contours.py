@@ -188,7 +188,7 @@ def _block_steps(
     gradient *= (jump * placed.length * (whole / count)[samples.owner] / share)[:, None]
     moments = np.concatenate([gradient[:, None], light[:, :, None] * gradient[:, None]], axis=1)
 
-    h = contours.pixel_filter.interpolate(offset)
+    h = contours.view.pixel_filter.interpolate(offset)
     height = (h[:, :, None, 0] * h[:, None, :, 1]).reshape(rows.shape)
     inside = rows >= 0
     sample = np.nonzero(inside)[0]
@@ -256,7 +256,7 @@ def _near(contours: Contours, slot: Ints, blocks: Ints, samples: _Samples) -> In
         return np.arange(len(owner))
     below = np.zeros((len(blocks), BLOCK + 1, BLOCK + 1), dtype=np.int64)
     below[:, 1:, 1:] = np.cumsum(np.cumsum(slot >= 0, axis=1), axis=2)
-    box, radius = contours.box[contours.piece[samples.pair]], contours.pixel_filter.radius
+    box, radius = contours.box[contours.piece[samples.pair]], contours.view.pixel_filter.radius
     corner = contours.corner(blocks)[owner]
     x0, y0 = np.clip(np.ceil(box[:, :2] - radius - 0.5) - corner, 0, BLOCK).astype(np.int64).T
     x1, y1 = np.clip(np.floor(box[:, 2:] + radius + 0.5) - corner, 0, BLOCK).astype(np.int64).T
@@ -271,7 +271,7 @@ def _footprint(
 
     And how far the centres of the pixels' r columns and r rows are from the points (n, r, 2) [pixel].
     """
-    radius = contours.pixel_filter.radius
+    radius = contours.view.pixel_filter.radius
     width = int(np.ceil(2.0 * radius))
     pixel = np.ceil(film - radius - 0.5).astype(np.int64)[:, None] + np.arange(width)[:, None]
     local = pixel - contours.corner(blocks)[owner][:, None]

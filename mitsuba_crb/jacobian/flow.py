@@ -40,7 +40,6 @@ from .paths import IntegratorTracer, PathTracer, tracer
 from .pixels import (
     PILOT,
     EvenNumbers,
-    PixelFilter,
     camera_ray,
     download,
     lane_sampler,
@@ -114,7 +113,7 @@ def prepare(view: View, film_flows: tuple[FilmFlow, ...] = ()) -> Prepared:
             "to follow: use method finite_difference, or a perspective sensor"
         )
     return Prepared(
-        filter_pairs(PixelFilter.of(view)),
+        filter_pairs(view.pixel_filter),
         None if volumes else ViewTerm.of(view, camera_paths),
         finite_difference.prepare(view) if volumes else find_contours(view),
         camera_paths,

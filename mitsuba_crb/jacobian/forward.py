@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import IntegratorError
-from .pixels import PixelFilter, camera_ray, lane_sampler, lanes, move_ray, radiance
+from .pixels import camera_ray, lane_sampler, lanes, move_ray, radiance
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -34,13 +34,12 @@ MAX_LANES = 1 << 18
 class Prepared:
     """What all tiles of one view share."""
 
-    pixel_filter: PixelFilter
     block: int = 1
     """Side of the film blocks whose errors are independent [pixel]: every pixel has its own samples."""
 
 
 def prepare(view: View) -> Prepared:
-    """The filter, unless the integrator detaches camera rays, whose derivative would be a silent zero.
+    """Nothing, unless the integrator detaches camera rays, whose derivative would be a silent zero.
 
     Raises:
         IntegratorError: names the integrator.
@@ -52,7 +51,7 @@ def prepare(view: View) -> Prepared:
             f"integrator {type(view.integrator).__name__} detaches camera rays, so method 'forward' would "
             "see nothing: use path, direct or volpath, or another method"
         )
-    return Prepared(PixelFilter.of(view))
+    return Prepared()
 
 
 def jacobian(
@@ -77,21 +76,22 @@ def jacobian(
     Raises:
         IntegratorError: the integrator detaches camera rays.
     """
-    prepared = prepared or prepare(view)
+    if prepared is None:
+        prepare(view)
     values = np.empty((batches, len(pixels), 3, 6))
     image = np.empty((batches, len(pixels), 3))
     count = max(1, MAX_LANES // spp)
     for start in range(0, len(pixels), count):
         part = slice(start, start + count)
         for axis in range(6):
-            column, primal = _column(view, prepared.pixel_filter, pixels[part], spp, seed, axis)
+            column, primal = _column(view, pixels[part], spp, seed, axis)
             values[:, part, :, axis] = per_batch(column, batches)
         image[:, part] = per_batch(primal, batches)
     return values, image
 
 
 def _column(
-    view: View, pixel_filter: PixelFilter, pixels: NDArray[np.int64], spp: int, seed: int, axis: int
+    view: View, pixels: NDArray[np.int64], spp: int, seed: int, axis: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """One derivative and the radiance, per pixel and path: (n, spp, 3) each.
 
@@ -101,7 +101,7 @@ def _column(
 
     pixel, sample, centre = lanes(view, pixels, spp)
     sampler = lane_sampler(pixel, sample, seed)
-    offset, weight = pixel_filter.sample(sampler.next_2d())
+    offset, weight = view.pixel_filter.sample(sampler.next_2d())
     ray, importance = camera_ray(view, centre + mi.Vector2f(offset), sampler.next_2d())
     twist = [mi.Float(0.0) for _ in range(6)]
     dr.enable_grad(twist[axis])

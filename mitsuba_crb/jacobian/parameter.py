@@ -22,7 +22,6 @@ from .. import se3
 from .film import FilmMap
 from .forward import MAX_LANES, per_batch, per_path
 from .pixels import (
-    PixelFilter,
     camera_ray,
     lane_sampler,
     lanes,
@@ -97,7 +96,7 @@ class SceneParameter:
 
         pixel, sample, centre = lanes(view, pixels, spp)
         sampler = lane_sampler(pixel, sample, seed)
-        offset, weight = PixelFilter.of(view).sample(sampler.next_2d())
+        offset, weight = view.pixel_filter.sample(sampler.next_2d())
         ray, importance = camera_ray(view, centre + mi.Vector2f(offset), sampler.next_2d())
         world_ray = move_ray(ray, opaque_transform(view.pose))
         t = mi.Float(0.0)

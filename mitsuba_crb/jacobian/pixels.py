@@ -205,11 +205,10 @@ class PixelFilter:
     """h there [1/pixel]."""
 
     @staticmethod
-    def of(view: View) -> PixelFilter:
-        """The filter of the view's film."""
+    def of(rfilter: mi.ReconstructionFilter) -> PixelFilter:
+        """For one filter."""
         import mitsuba as mi
 
-        rfilter = view.sensor.film().rfilter()
         radius = float(rfilter.radius())
         # Midpoints: a filter's value exactly on its border (box) is a matter of convention.
         edges = np.linspace(-radius, radius, 8193)
@@ -350,7 +349,7 @@ def start_pixels(
     with uncollected():
         total = sum_samples(
             view,
-            PixelFilter.of(view),
+            view.pixel_filter,
             lane_sampler(pixel, batch, seed, purpose),
             centre,
             transform,

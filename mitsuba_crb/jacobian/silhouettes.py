@@ -24,7 +24,7 @@ from ..information import BLOCK
 from .curves import EDGE, Curves, Lens, Placed, bounds, cut, place
 from .edges import EdgeTable
 from .paths import first_hit
-from .pixels import PixelFilter, camera_ray, download, move_ray, opaque_transform, upload, widened
+from .pixels import camera_ray, download, move_ray, opaque_transform, upload, widened
 from .surfaces import edge_table, first_faces, smooth_curves, without_contours
 
 if TYPE_CHECKING:
@@ -71,7 +71,6 @@ class Contours:
     """See `surfaces.first_faces`."""
     pose: Floats
     """`world_from_camera`, rounded to float32 as the renderer has it."""
-    pixel_filter: PixelFilter
     lens: Lens
     pieces: Curves
     box: Floats
@@ -102,7 +101,7 @@ class Contours:
         """Film rectangle (n, 4) from which samples reach the pixels of blocks."""
         low = self.corner(block)
         high = np.minimum(low + BLOCK, self.view.size)
-        radius = self.pixel_filter.radius
+        radius = self.view.pixel_filter.radius
         return np.concatenate([low + 0.5 - radius, high - 0.5 + radius], axis=1)
 
     def look(self, placed: Placed, aperture: Floats) -> Sides:
@@ -186,12 +185,12 @@ def find_contours(view: View) -> Contours:
     rotation, centre = pose[:3, :3], pose[:3, 3]
     camera_from_world = np.eye(4)
     camera_from_world[:3] = np.column_stack([rotation.T, -rotation.T @ centre])
-    table, lens, pixel_filter = edge_table(view.scene), _lens(view), PixelFilter.of(view)
+    table, lens = edge_table(view.scene), _lens(view)
     edges = table.candidates(centre, rotation[:, 2], lens.radius)
     ends = (table.ends[edges] - centre) @ rotation
     curves = [Curves.of(EDGE, ends[:, 0], ends[:, 1] - ends[:, 0], tag=edges)]
     curves += smooth_curves(view.scene, camera_from_world)
-    size, radius = np.array(view.size), pixel_filter.radius
+    size, radius = np.array(view.size), view.pixel_filter.radius
     pieces = cut(Curves.join(curves), lens, np.concatenate([[-radius, -radius], size + radius]))
     box, length = bounds(pieces, lens)
     block, piece = _pairs(box, radius, size)
@@ -201,7 +200,6 @@ def find_contours(view: View) -> Contours:
         table=table,
         first_face=first_faces(view.scene),
         pose=pose,
-        pixel_filter=pixel_filter,
         lens=lens,
         pieces=pieces,
         box=box,
