@@ -85,7 +85,7 @@ def test_without_the_parallax_term_translation_is_wrong(name: str, monkeypatch: 
         return iter([None, None, (np.empty(0, dtype=np.int64), np.empty((batches, 0, 3, 6)))])
 
     monkeypatch.setattr(flow, "parallax_steps", nothing)
-    difference, error = (np.diag(matrix) for matrix in compared(name, 256))
+    difference, error = (np.diag(matrix) for matrix in compared(name, 512))
     assert np.all(np.abs(difference / error)[[0, 2]] > 6.0)
     assert np.all(np.abs(difference / error)[3:] < 3.0)
 

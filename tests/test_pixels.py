@@ -119,8 +119,8 @@ def test_the_pixels_of_a_block_share_out_random_numbers_evenly() -> None:
     """Orders are permutations that keep neighbours together; a block's uniform numbers are even."""
     batches, count = 16, BLOCK * BLOCK
     with open_view(textured_wall(sensor=camera(4 * BLOCK, 4 * BLOCK))) as view:
-        even = EvenNumbers.of(view, _grid(view), batches, 5, 2)
-        x, _ = np.array(sobol_point(even.rank, even.seeds[1]), dtype=np.float64)
+        even = EvenNumbers.of(view, _grid(view), batches, 5, (4, 4))
+        x, *_ = np.array(sobol_point(even.rank, even.seeds[1]), dtype=np.float64)
     by_block = (4, BLOCK, 4, BLOCK, batches)
     ranks, x = (
         np.array(value).reshape(by_block).transpose(0, 2, 4, 1, 3).reshape(-1, count)

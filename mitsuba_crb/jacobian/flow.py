@@ -60,9 +60,9 @@ if TYPE_CHECKING:
 
     from ..scene import View
 
-_USES = 4
-_FILM, *_OF_PATHS = range(_USES)
-"""What `EvenNumbers` are for: film offsets; lens points, emitters and directions at the first surface."""
+_DIMENSIONS = (4, 4)
+"""What `EvenNumbers` are for: film offset and emitter, whose products are what edges of shadows show; and
+direction at the first surface and lens point."""
 RIM = 1e-3
 """n·q/|q| of a curved surface below which rounding decides: a tangent hit is exact to its root only."""
 PILOT_SPP = 2
@@ -264,7 +264,7 @@ def filter_and_view_terms(
             view,
             prepared,
             lane_sampler(pixel, batch, seed),
-            EvenNumbers.of(view, pixels, batches, seed, _USES),
+            EvenNumbers.of(view, pixels, batches, seed, _DIMENSIONS),
             centre,
             baseline,
             counts,
@@ -343,12 +343,13 @@ def _sum_pairs(
         turn, kind = index // pairs.kinds, index % pairs.kinds
         # One pixel's points of a kind, of which a column is made, follow one another, then its neighbour's.
         place = (kind * (BLOCK * BLOCK) + even.rank) * turns + turn
-        points = [sobol_point(place, seeds) for seeds in even.seeds]
-        half = pairs.draw(kind, points[_FILM], mirrored, counts)
-        aperture, emitter, direction = (points[use] for use in _OF_PATHS)
-        first = (emitter, direction)
+        (along, across, *emitter), (*direction, lens_x, lens_y) = (
+            sobol_point(place, seeds) for seeds in even.seeds
+        )
+        half = pairs.draw(kind, mi.Point2f(along, across), mirrored, counts)
+        first = (mi.Point2f(*emitter), mi.Point2f(*direction))
         film = centre + mi.Vector2f(half.offset)
-        ray, importance = camera_ray(view, film, aperture)
+        ray, importance = camera_ray(view, film, mi.Point2f(lens_x, lens_y))
         world_ray = move_ray(ray, transform)
         if dr.hint(view_term is not None, mode="scalar"):
             angle = path_sampler.next_1d()

@@ -13,7 +13,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import gc
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..information import BLOCK
-from .sobol import SEEDS, sobol_point
+from .sobol import sobol_point
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -123,7 +123,7 @@ def lane_sampler(pixel: mi.UInt32, batch: mi.UInt32, seed: int, purpose: int = 0
 
 @dataclass(frozen=True)
 class EvenNumbers:
-    """Random points of [0, 1)² that the pixels of a film block share out evenly among them, batch by batch.
+    """Random points of [0, 1)^d that the pixels of a film block share out evenly among them, batch by batch.
 
     The pixels' errors then cancel in the block's information, and first of all those of neighbours, whose
     points follow one another in the sequence: they stand in z-order (Ahmed and Wonka 2020). Every block and
@@ -136,8 +136,10 @@ class EvenNumbers:
     """Of the sequence of each use."""
 
     @staticmethod
-    def of(view: View, pixels: NDArray[np.int64], batches: int, seed: int, uses: int) -> EvenNumbers:
-        """Of lanes as from `lanes`, for so many independent uses."""
+    def of(
+        view: View, pixels: NDArray[np.int64], batches: int, seed: int, dimensions: Sequence[int]
+    ) -> EvenNumbers:
+        """Of lanes as from `lanes`, for independent uses of so many coordinates each."""
         import mitsuba as mi
 
         block = pixels // BLOCK
@@ -150,11 +152,11 @@ class EvenNumbers:
         bits = range((BLOCK - 1).bit_length())
         z_order = sum((x >> bit & 1) << 2 * bit | (y >> bit & 1) << 2 * bit + 1 for bit in bits)
         rank = upload(mi.UInt32, np.repeat(z_order, batches))
-        return EvenNumbers(rank, [_sequence_seeds(sampler) for _ in range(uses)])
+        return EvenNumbers(rank, [_sequence_seeds(sampler, d) for d in dimensions])
 
 
-def _sequence_seeds(sampler: mi.Sampler) -> list[mi.UInt32]:
-    return [sampler.rng.next_uint32() for _ in range(SEEDS)]
+def _sequence_seeds(sampler: mi.Sampler, dimensions: int) -> list[mi.UInt32]:
+    return [sampler.rng.next_uint32() for _ in range(1 + dimensions)]
 
 
 @dataclass(frozen=True)
@@ -375,12 +377,12 @@ def sum_samples(
 
     total = mi.Color3f(0.0)
     i = mi.UInt32(0)
-    seeds = [mi.UInt32(0)] * SEEDS
+    seeds = [mi.UInt32(0)] * 3
     if dr.hint(even, mode="scalar"):
-        seeds = _sequence_seeds(sampler)
+        seeds = _sequence_seeds(sampler, 2)
     while dr.hint(i < spp, exclude=[view, pixel_filter], label="pixel samples"):
         if dr.hint(even, mode="scalar"):
-            offset, weight = pixel_filter.sample(sobol_point(i, seeds))
+            offset, weight = pixel_filter.sample(mi.Point2f(*sobol_point(i, seeds)))
         else:
             offset, weight = pixel_filter.sample(sampler.next_2d())
         aperture = sampler.next_2d()
