@@ -61,6 +61,14 @@ less of the variance, single pixels take ten times as long."""
 _CHUNK = 4096  # pixels whose products are held at once, about
 
 
+def places(pixels: NDArray[np.integer], side: int) -> NDArray[np.int64]:
+    """Where pixels (n, 2) stand in an image that is read square by square of so many pixels' side (n,)."""
+    pixels = pixels.astype(np.int64)
+    column, row = (pixels // side).T
+    x, y = (pixels % side).T
+    return np.asarray(((row << 32 | column) * side + y) * side + x)
+
+
 @dataclass(frozen=True)
 class PixelSelection:
     """Which pixels were measured, and what that means for the information."""
@@ -380,18 +388,21 @@ class InformationAccumulator:
             return
         root = square_root(precision)
         order, starts = self._order(positions)
+        if np.any(np.diff(order) < 0):
+            values, root = values[:, order], root[order]
         self._count += len(positions)
         self._informative = self._informative or bool(precision.any())
         cuts = np.unique(np.searchsorted(starts, np.append(np.arange(0, len(order), _CHUNK), len(order))))
         for low, high in pairwise(cuts):
-            whitened = whiten(values, root, order[starts[low] : starts[high]])
+            part = slice(starts[low], starts[high])
+            whitened = whiten(values[:, part], root[part])
             own = starts[low : high + 1] - starts[low]
             if self._sampled:
                 each = pixel_products(whitened)
                 units = np.add.reduceat(each, own[:-1], axis=-1)
                 means = self._pixels.add(each) if self._block > 1 else each.mean(axis=0)
                 self._pixel_squares += gram(means.T)
-                of_all = gram(whitened.reshape(-1, self._batches * self._columns))
+                of_all = gram(whitened.reshape(len(whitened), -1, whitened.shape[-1]).mT).sum(axis=0)
             else:
                 grams = unit_grams(whitened, own)
                 units = unit_products(grams, self._batches)
@@ -494,13 +505,13 @@ class InformationAccumulator:
         Returns:
             Pixels in order, and where each unit starts, with the end of the last.
         """
-        x, y = pixels.astype(np.int64).T
         side = self._block if self._block > 1 else _UNIT
-        block = (y // side << 32) | (x // side)
-        order = np.lexsort((x, y, block))
-        x, y, block = x[order], y[order], block[order]
-        if np.any((np.diff(x) == 0) & (np.diff(y) == 0)):
+        place = places(pixels, side)
+        order = np.argsort(place, kind="stable")
+        place = place[order]
+        if np.any(np.diff(place) == 0):
             raise PixelsError("a pixel was given twice in one call")
+        block = place // side**2
         starts = np.flatnonzero(np.diff(block, prepend=-1))
         if self._block > 1:
             blocks = set(block[starts].tolist())

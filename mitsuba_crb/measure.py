@@ -302,14 +302,18 @@ class Measurement:
         return dataclasses.replace(self, view=view, prepared=_module(self.method).prepare(view, **self.step))
 
     def jacobian(self) -> ImageJacobian:
-        """The Jacobian of every selected pixel, held at once."""
+        """The Jacobian of every selected pixel, held at once, row by row."""
         image = np.full((*self.mask.shape, 3), np.nan)
-        parts = list(self.tiles())
-        for part in parts:
-            image[part.pixels[:, 1], part.pixels[:, 0]] = part.mean
+        measured = np.zeros_like(self.mask)
+        place = (np.cumsum(self.mask) - 1).reshape(self.mask.shape)
+        values = np.empty((self.batches, self.selection.selected, 3, 6 + len(self.parameters)))
+        for part in self.tiles():
+            x, y = part.pixels.T
+            image[y, x], measured[y, x] = part.mean, True
+            values[:, place[y, x]] = part.all_values
         return ImageJacobian(
-            batch_values=np.concatenate([part.all_values for part in parts], axis=1),
-            pixels=np.concatenate([part.pixels for part in parts]),
+            batch_values=values if measured[self.mask].all() else values[:, measured[self.mask]],
+            pixels=subset.selected(measured),
             image=image,
             frame="camera",
             pose=self.view.pose,
@@ -371,8 +375,10 @@ class Measurement:
     def _in_turn(self, paths: dict[str, int]) -> Iterator[tuple[NDArray[np.int64], Any]]:
         """Each tile's pixels and what the method says of them; flow takes its steps as `flow.steps` says."""
         module, running = _module(self.method), None
+        options = {"prepared": self.prepared, **paths}
+        if self.method == "flow":
+            options["pilot"] = module.Pilot.of(self.view, self.mask, self.seed)
         for part in subset.tiles(self.mask, self.tile):
-            options = {"prepared": self.prepared, **paths}
             if self.method == "flow":
                 steps = module.steps(self.view, part, **options)
             else:

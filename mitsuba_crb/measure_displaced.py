@@ -98,10 +98,9 @@ class _Sums:
         """Add pixels: J (K, n, C, 6), δ (K, n, C, m), the image (n, C), and inverse variances (n, C)."""
         K = self._batches
         columns = np.concatenate([jacobian, changes], axis=-1)
-        whitened = whiten(columns, square_root(weights), np.arange(len(pixels)))
-        P = whitened.shape[-1]
-        each = sum(gram(whitened[:, :, k].reshape(-1, P)) for k in range(K))
-        self._gram += (gram(whitened.sum(axis=2).reshape(-1, P)) - each) / (K * (K - 1))
+        whitened = whiten(columns, square_root(weights)).mT
+        each = gram(whitened).sum(axis=1)
+        self._gram += (gram(whitened.sum(axis=1)) - each).sum(axis=0) / (K * (K - 1))
         self._power += float(np.sum(weights * mean**2))
         for i, accumulator in enumerate(self._diagonal):
             accumulator.add(changes[..., i : i + 1], weights, pixels)

@@ -31,9 +31,8 @@ def pixel_information(batch_values: Array, weights: Array) -> Array:
         weights: (n, C), or (n, C, C) for noise that mixes a pixel's channels.
     """
     root = square_root(weights)
-    starts = range(0, len(root), _CHUNK)
-    parts = (np.arange(start, min(start + _CHUNK, len(root))) for start in starts)
-    products = [pixel_products(whiten(batch_values, root, part)).mean(axis=0).T for part in parts]
+    parts = (slice(start, start + _CHUNK) for start in range(0, len(root), _CHUNK))
+    products = [pixel_products(whiten(batch_values[:, part], root[part])).mean(axis=0).T for part in parts]
     return np.concatenate(products) if products else np.zeros((0, 21))
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from .errors import PixelsError
-from .information import PixelSelection
+from .information import BLOCK, PixelSelection, places
 
 
 def everything(size: tuple[int, int]) -> PixelSelection:
@@ -132,8 +132,9 @@ def selected(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
 def tiles(mask: NDArray[np.bool_], tile: int) -> Iterator[NDArray[np.int64]]:
     """The selected pixels (n, 2) of one tile after the other, of several at once where few are selected.
 
-    Up to a quarter of a tile then, so that even a small subset has several parts, of which one can be summed
-    up while the next one's paths are traced.
+    In the order in which information sums them up, block by block, each row by row. Several tiles are up to a
+    quarter of one, so that even a small subset has several parts, of which one can be summed up while the
+    next one's paths are traced.
     """
     height, width = mask.shape
     held: list[NDArray[np.int64]] = []
@@ -141,9 +142,14 @@ def tiles(mask: NDArray[np.bool_], tile: int) -> Iterator[NDArray[np.int64]]:
         for left in range(0, width, tile):
             pixels = selected(mask[top : top + tile, left : left + tile])
             if held and 4 * (sum(map(len, held)) + len(pixels)) > tile * tile:
-                yield np.concatenate(held)
+                yield _by_block(held)
                 held = []
             if len(pixels):
                 held.append(pixels + np.array([left, top]))
     if held:
-        yield np.concatenate(held)
+        yield _by_block(held)
+
+
+def _by_block(parts: list[NDArray[np.int64]]) -> NDArray[np.int64]:
+    pixels = np.concatenate(parts)
+    return pixels[np.argsort(places(pixels, BLOCK))]

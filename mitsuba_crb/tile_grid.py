@@ -71,7 +71,7 @@ class TileGrid:
         order = np.lexsort((x, y, tile))
         starts = np.append(np.flatnonzero(np.diff(tile[order], prepend=-1)), len(order))
         touched, counts = np.unique(tile, return_counts=True)
-        grams = unit_grams(whiten(batch_values, square_root(weights), order), starts)
+        grams = unit_grams(whiten(batch_values[:, order], square_root(weights[order])), starts)
         self._sums[:, :, touched] += unit_products(grams, len(batch_values))
         self._count[touched] += counts
 

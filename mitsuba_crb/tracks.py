@@ -283,7 +283,7 @@ def _structure_tensors(part: TileJacobian, camera: Pinhole, weights: Array) -> t
     """
     flow = camera.flow(camera.directions(part.pixels + 0.5))[..., 3:5]
     gradients = -part.batch_values[..., 3:5] @ np.linalg.inv(flow)
-    whitened = whiten(gradients, square_root(weights), np.arange(len(weights)))
+    whitened = whiten(gradients, square_root(weights))
     products = pixel_products(whitened)
     xx, xy, yy = products.var(axis=0, ddof=1) / len(products)
     return unpack(products.mean(axis=0).T), xx + 2.0 * xy + yy

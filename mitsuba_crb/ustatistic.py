@@ -101,13 +101,17 @@ def square_root(weights: Array) -> Array:
     return np.asarray(root @ vectors.swapaxes(1, 2), dtype=np.float64)
 
 
-def whiten(values: Array, root: Array, index: NDArray[np.intp]) -> Array:
-    """√W J_k of some pixels, (m, C, K, P), from (K, n, C, P) and √W, (n, C) or blocks (n, C, C)."""
-    columns = values.transpose(1, 2, 0, 3)[index]
+def whiten(values: Array, root: Array) -> Array:
+    """√W J_k, (C, K, P, n), the pixels' numbers beside each other.
+
+    Args:
+        values: (K, n, C, P), J_k.
+        root: √W, (n, C), or blocks (n, C, C).
+    """
+    columns = values.transpose(2, 0, 3, 1)
     if root.ndim == 2:
-        return np.multiply(columns, root[index][:, :, None, None], order="C")
-    m, C, K, P = columns.shape
-    return np.asarray(root[index] @ columns.reshape(m, C, K * P)).reshape(m, C, K, P)
+        return np.multiply(columns, root.T[:, None, None], order="C")
+    return np.stack([sum(map(np.multiply, row, columns)) for row in root.transpose(1, 2, 0)])
 
 
 def gram(rows: Array) -> Array:
@@ -123,16 +127,20 @@ def unit_grams(whitened: Array, starts: NDArray[np.intp]) -> Array:
     """Σ J_kᵀ W J_l of every unit and all k and l, (units, K P, K P).
 
     Args:
-        whitened: (m, C, K, P), from `whiten`.
-        starts: (units + 1,) where each unit's pixels start, and m.
+        whitened: (C, K, P, n), from `whiten`.
+        starts: (units + 1,) where each unit's pixels start, and n.
     """
-    C, K, P = whitened.shape[1:]
+    C, K, P, _ = whitened.shape
+    rows = whitened.reshape(C, K * P, -1)
     sizes = np.diff(starts)
     grams = np.empty((len(sizes), K * P, K * P))
     for size in np.unique(sizes):
         which = np.flatnonzero(sizes == size)
-        index = starts[which, None] + np.arange(size)
-        grams[which] = gram(whitened[index].reshape(len(which), size * C, K * P))
+        if len(which) == len(sizes):
+            units = rows.reshape(C, K * P, len(sizes), size)
+        else:
+            units = rows[:, :, starts[which, None] + np.arange(size)]
+        grams[which] = gram(units.transpose(0, 2, 3, 1)).sum(axis=0)
     return grams
 
 
@@ -151,12 +159,12 @@ def mean_of_batches(gram_of_all: Array, batches: int) -> Array:
 
 def pixel_products(whitened: Array) -> Array:
     """As `unit_products`, of units of one pixel each: long sums over pixels, not many small matrices."""
-    K, P = whitened.shape[2:]
-    columns = np.ascontiguousarray(whitened.transpose(2, 1, 3, 0))
-    products = np.zeros((K * (K - 1) // 2, entries(P), len(whitened)))
+    _, K, P, n = whitened.shape
+    products = np.zeros((K * (K - 1) // 2, entries(P), n))
     for product, (k, j) in zip(products, combinations(range(K), 2), strict=True):
-        for a, b in zip(columns[k], columns[j], strict=True):
-            rows = np.split(product, np.cumsum(np.arange(P, 1, -1)))
+        rows = np.split(product, np.cumsum(np.arange(P, 1, -1)))
+        for channel in whitened:
+            a, b = channel[k], channel[j]
             for i, row in enumerate(rows):
                 row += a[i] * b[i:] + a[i:] * b[i]
     return 0.5 * products

@@ -258,10 +258,9 @@ def without_contours(
     view: View, prepared: flow.Prepared, pixels: np.ndarray, baseline: np.ndarray, **options: int
 ) -> np.ndarray:
     """Filter and view terms (batches, n, 3, 6)."""
-    of_lanes = mi.Color3f(np.repeat(baseline, options["batches"], axis=0).T)
+    of_lanes = mi.Color3f(np.tile(baseline, (options["batches"], 1)).T)
     columns, image = flow.filter_and_view_terms(view, prepared, pixels, of_lanes, **options)
-    values = flow.start_lanes(columns, image, options["batches"])
-    return flow.as_arrays(values, image, len(pixels), options["batches"])[0]
+    return flow.as_arrays([*columns, image], options["batches"])[0]
 
 
 def closure(

@@ -182,10 +182,9 @@ def test_pairs_have_the_moments_of_the_filter_and_its_derivative(name: str) -> N
         value, slopes, cubes = np.zeros(n), np.zeros((2, n)), np.zeros((2, n))
         for kind in range(pairs.kinds):
             point = mi.Point2f(rng.next_float32(), rng.next_float32())
-            for mirrored in (False, True):
-                half = pairs.draw(
-                    dr.full(mi.UInt32, kind, n), point, mi.Bool(mirrored), [mi.Float(1.0)] * pairs.kinds
-                )
+            kinds = dr.full(mi.UInt32, kind, n)
+            first = pairs.draw(kinds, point, [mi.Float(1.0)] * pairs.kinds)
+            for half in (first, first.mirrored(kinds)):
                 offset = np.array(half.offset, dtype=np.float64)
                 gradient = np.array(half.gradient, dtype=np.float64)
                 value += np.array(half.value, dtype=np.float64)
@@ -205,7 +204,7 @@ def test_pairs_are_drawn_where_the_gaussian_changes() -> None:
     with open_view(scene(sensor=with_filter("gaussian"))) as view:
         pairs = filter_pairs(view.pixel_filter)
         points = mi.Point2f((dr.arange(mi.Float, n) + 0.5) / n, 0.5)
-        half = pairs.draw(dr.zeros(mi.UInt32, n), points, mi.Bool(False), [mi.Float(1.0)] * 2)
+        half = pairs.draw(dr.zeros(mi.UInt32, n), points, [mi.Float(1.0)] * 2)
         drawn = np.sort(np.abs(np.array(half.offset.x, dtype=np.float64)))
     sigma, radius = 0.5, 2.0
     x = np.linspace(0.0, radius, 4001)

@@ -702,6 +702,6 @@ class TestBadInput:
 
 
 def test_products_of_single_pixels_are_those_of_units_of_one() -> None:
-    whitened = np.random.default_rng(3).normal(size=(50, 3, 5, 7))
-    expected = unit_products(unit_grams(whitened, np.arange(51)), whitened.shape[2])
+    whitened = np.random.default_rng(3).normal(size=(3, 5, 7, 50))
+    expected = unit_products(unit_grams(whitened, np.arange(51)), whitened.shape[1])
     assert pixel_products(whitened) == pytest.approx(expected, rel=1e-12, abs=1e-12)

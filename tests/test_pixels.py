@@ -121,9 +121,9 @@ def test_the_pixels_of_a_block_share_out_random_numbers_evenly() -> None:
     with open_view(textured_wall(sensor=camera(4 * BLOCK, 4 * BLOCK))) as view:
         even = EvenNumbers.of(view, _grid(view), batches, 5, (4, 4))
         x, *_ = np.array(sobol_point(even.rank, even.seeds[1]), dtype=np.float64)
-    by_block = (4, BLOCK, 4, BLOCK, batches)
+    by_block = (batches, 4, BLOCK, 4, BLOCK)
     ranks, x = (
-        np.array(value).reshape(by_block).transpose(0, 2, 4, 1, 3).reshape(-1, count)
+        np.array(value).reshape(by_block).transpose(1, 3, 0, 2, 4).reshape(-1, count)
         for value in (even.rank, x)
     )
     assert np.array_equal(np.sort(ranks, axis=1), np.tile(np.arange(count), (len(ranks), 1)))

@@ -19,14 +19,17 @@ BITS = (1, 1, 2, 3)
 """Of a digit of each coordinate."""
 
 
-def _points(count: int, sequences: int, seed: int, *, ordered: bool = False) -> NDArray[np.float64]:
+def _points(
+    count: int, sequences: int, seed: int, *, ordered: bool = False, quarters: bool = False
+) -> NDArray[np.float64]:
     """(sequences, count, 4), the first points of sequences of their own seeds; or of one order all."""
     chosen = np.random.default_rng(seed).integers(0, 1 << 32, (5, sequences), dtype=np.uint64)
     if ordered:
         chosen[0] = 0
     seeds = [mi.UInt32(np.repeat(row, count).astype(np.uint32)) for row in chosen]
     number = mi.UInt32(np.tile(np.arange(count, dtype=np.uint32), sequences))
-    return np.array(sobol_point(number, seeds), dtype=np.float64).T.reshape(sequences, count, 4)
+    points = np.array(sobol_point(number, seeds, quarters=quarters), dtype=np.float64)
+    return points.T.reshape(sequences, count, 4)
 
 
 def _unscrambled(number: NDArray[np.uint32], dimensions: int) -> NDArray[np.float64]:
@@ -71,11 +74,12 @@ def test_unscrambled_they_are_digits_by_polynomial_division(monkeypatch: pytest.
     assert _unscrambled(numbers, 4) == pytest.approx(expected, abs=2.0**-24)
 
 
+@pytest.mark.parametrize("quarters", [False, True])
 @pytest.mark.parametrize("m", [0, 1, 2, 3, 5, 6])
-def test_points_that_follow_one_another_have_one_in_each_box(m: int) -> None:
+def test_points_that_follow_one_another_have_one_in_each_box(m: int, quarters: bool) -> None:
     """In the first two coordinates and in all four; the controls pair the same coordinates at random."""
     rng = np.random.default_rng(0)
-    for points in _points(64, 8, 1):
+    for points in _points(64, 8, 1, quarters=quarters):
         for part in points.reshape(-1, 1 << m, 4):
             assert _are_even(part[:, :2], BITS[:2])
             assert _are_even(part, BITS)
@@ -94,9 +98,18 @@ def test_four_points_are_one_in_each_quarter() -> None:
         assert np.all(quarters == np.arange(4)) == ((a, b) != (2, 3))
 
 
-def test_every_point_is_uniform() -> None:
+def test_numbers_equal_modulo_4_lie_in_one_quarter_if_so_asked() -> None:
+    """A random one from sequence to sequence; the control asks for nothing."""
+    for quarters in (False, True):
+        halves = np.floor(2.0 * _points(64, 256, 1, quarters=quarters)[..., :2]).reshape(256, 16, 4, 2)
+        assert np.all(halves == halves[:, :1]) == quarters
+    assert np.all(np.abs(halves.mean(axis=(0, 1)) - 0.5) < 5.0 * 0.5 / 16.0)
+
+
+@pytest.mark.parametrize("quarters", [False, True])
+def test_every_point_is_uniform(quarters: bool) -> None:
     """Each of 16 points over 4096 sequences, in 8 x 8 cells of each pair: χ² within 5 standard deviations."""
-    points = _points(16, 4096, 2)
+    points = _points(16, 4096, 2, quarters=quarters)
     for pair in itertools.combinations(range(4), 2):
         cell = (points[..., pair] * 8).astype(int) @ [8, 1]
         for k in range(16):

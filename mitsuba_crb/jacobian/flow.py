@@ -23,6 +23,7 @@ Source: design section 4.1; Zhang et al. 2020, Path-Space Differentiable Renderi
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +33,7 @@ from numpy.typing import NDArray
 
 from ..errors import SensorError
 from ..information import BLOCK
+from ..subset import selected
 from . import finite_difference
 from .contours import Contours, find_contours, parallax_steps
 from .film import FilmFlow, FilmMap
@@ -46,6 +48,7 @@ from .pixels import (
     lanes,
     move_ray,
     opaque_transform,
+    resumed,
     start_pixels,
     uncollected,
     upload,
@@ -69,6 +72,46 @@ PILOT_SPP = 2
 PILOT_CELL = 4
 """The baseline Ī_u comes from this many paths through one pixel of every cell [pixel]: antithetic pairs leave
 it so little to do that more would cost more than they save."""
+
+
+@dataclass(frozen=True)
+class Pilot:
+    """Ī_u in cells of the film, by paths of their own; a pixel's is the same whoever else is asked for."""
+
+    place: NDArray[np.int64]
+    """(rows, columns) of each cell among those that hold pixels."""
+    total: mi.Color3f
+    """Sums over their paths, traced in the background."""
+
+    @staticmethod
+    def of(view: View, mask: NDArray[np.bool_], seed: int) -> Pilot:
+        """For the pixels of a mask (H, W)."""
+        rows, columns = (np.arange(0, n, PILOT_CELL) for n in mask.shape)
+        held = np.logical_or.reduceat(np.logical_or.reduceat(mask, rows, axis=0), columns, axis=1)
+        probed = PILOT_CELL * selected(held)
+        place = (np.cumsum(held) - 1).reshape(held.shape)
+        return Pilot(place, start_pixels(view, probed, spp=PILOT_SPP, seed=seed, purpose=PILOT))
+
+    def at(self, pixels: NDArray[np.int64], batches: int) -> mi.Color3f:
+        """Ī_u of the lanes of some of the pixels, finite whatever the radiance."""
+        import mitsuba as mi
+
+        index = upload(mi.UInt32, np.tile(self._places(pixels), batches))
+        image = dr.gather(mi.Color3f, self.total, index) / PILOT_SPP
+        return mi.Color3f(*(dr.select(dr.isfinite(channel), channel, 0.0) for channel in image))
+
+    def values(self, pixels: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Ī_u of some of the pixels (n, 3)."""
+        return self._image[self._places(pixels)]
+
+    @functools.cached_property
+    def _image(self) -> NDArray[np.float64]:
+        image = download(self.total).T / PILOT_SPP
+        return np.where(np.isfinite(image), image, 0.0)
+
+    def _places(self, pixels: NDArray[np.int64]) -> NDArray[np.int64]:
+        column, row = (pixels // PILOT_CELL).T
+        return np.asarray(self.place[row, column])
 
 
 @dataclass(frozen=True)
@@ -157,12 +200,22 @@ def jacobian(
         parameters], and the image (batches, n, 3).
     """
     prepared = prepare(view) if prepared is None else prepared
-    *_, (values, image) = steps(view, pixels, prepared, spp=spp, seed=seed, batches=batches)
+    mask = np.zeros(view.size[::-1], dtype=bool)
+    mask[pixels[:, 1], pixels[:, 0]] = True
+    pilot = Pilot.of(view, mask, seed)
+    *_, (values, image) = steps(view, pixels, prepared, pilot, spp=spp, seed=seed, batches=batches)
     return values, image
 
 
 def steps(
-    view: View, pixels: NDArray[np.int64], prepared: Prepared, *, spp: int, seed: int, batches: int
+    view: View,
+    pixels: NDArray[np.int64],
+    prepared: Prepared,
+    pilot: Pilot,
+    *,
+    spp: int,
+    seed: int,
+    batches: int,
 ) -> Iterator[Any]:
     """As `jacobian`, in four steps; the last one's item is its result.
 
@@ -170,26 +223,22 @@ def steps(
     the fourth sums up. So one tile can be readied, and the one before summed up, while paths are traced.
     """
     options = {"spp": spp, "seed": seed, "batches": batches}
-    pilot, cell = _start_pilot(view, pixels, seed)
-    lanes_baseline = _baseline(pilot, np.repeat(cell, batches))
-    columns, image = filter_and_view_terms(view, prepared, pixels, lanes_baseline, **options)
+    columns, image = filter_and_view_terms(view, prepared, pixels, pilot.at(pixels, batches), **options)
     yield
     contours = prepared.contours
     beside: Iterator[Any]
     if isinstance(contours, Contours):
-        pilot = _baseline(pilot, np.arange(len(pilot[0])))
-        baseline = download(pilot).T[cell] if len(contours.piece) else np.empty((len(pixels), 3))
-        beside = parallax_steps(view, contours, pixels, baseline, **options)
+        beside = parallax_steps(view, contours, pixels, pilot.values(pixels), **options)
     else:
         beside = _differences(view, contours, pixels, **options)
-    values = start_lanes(columns, image, batches)
+    dr.eval(columns, image)
     next(beside)
     yield
     # Shares Dr.Jit's memory, but to look there later would be to wait for the next tile's paths.
-    values, image = np.asarray(values), [np.asarray(channel) for channel in image]
+    colors = [[np.asarray(channel) for channel in color] for color in (*columns, image)]
     next(beside)
     yield
-    jacobians, images = as_arrays(values, image, len(pixels), batches)
+    jacobians, images = as_arrays(colors, batches)
     rows, terms = next(beside)
     if not isinstance(contours, Contours):
         jacobians[..., :3] = 0.0
@@ -214,23 +263,6 @@ def _differences(
     yield
     yield
     yield np.arange(len(pixels)), np.stack(columns, axis=-1)
-
-
-def _start_pilot(view: View, pixels: NDArray[np.int64], seed: int) -> tuple[mi.Color3f, NDArray[np.int64]]:
-    """Sums over the pilot's paths in each cell, traced in the background, and the cell of each pixel."""
-    width = view.size[0]
-    corner = pixels // PILOT_CELL * PILOT_CELL
-    corners, cell = np.unique(corner[:, 1] * width + corner[:, 0], return_inverse=True)
-    probed = np.stack([corners % width, corners // width], axis=1)
-    return start_pixels(view, probed, spp=PILOT_SPP, seed=seed, purpose=PILOT), cell
-
-
-def _baseline(pilot: mi.Color3f, cell: NDArray[np.int64]) -> mi.Color3f:
-    """Ī_u in some cells, the same for a pixel whatever others are asked for, finite whatever the radiance."""
-    import mitsuba as mi
-
-    image = dr.gather(mi.Color3f, pilot, upload(mi.UInt32, cell)) / PILOT_SPP
-    return mi.Color3f(*(dr.select(dr.isfinite(channel), channel, 0.0) for channel in image))
 
 
 def filter_and_view_terms(
@@ -274,35 +306,13 @@ def filter_and_view_terms(
     return columns, image
 
 
-def start_lanes(columns: list[mi.Color3f], image: mi.Color3f, batches: int) -> mi.Float:
-    """Starts paths in the background.
-
-    Returns:
-        The columns in the order in which the information's sums read them: (pixel, channel, batch, column).
-    """
-    import mitsuba as mi
-
-    number = len(image[0])
-    per_channel = dr.opaque(mi.UInt32, batches)
-    lane = dr.arange(mi.UInt32, number)
-    pixel = lane // per_channel
-    first = lane + 2 * per_channel * pixel
-    values = dr.empty(mi.Float, 3 * len(columns) * number)
-    for k, column in enumerate(columns):
-        for c, component in enumerate(column):
-            place = (first + c * per_channel) * len(columns) + k
-            dr.scatter(values, component, place, mode=dr.ReduceMode.NoConflicts)
-    dr.eval(values, image)
-    return values
-
-
-def as_arrays(
-    values: Any, image: Any, pixels: int, batches: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What `jacobian` returns, of the values of `start_lanes` and the image."""
-    jacobians = np.asarray(values).reshape(pixels, 3, batches, -1).astype(np.float64)
-    images = np.array([np.asarray(channel) for channel in image], dtype=np.float64)
-    return jacobians.transpose(2, 0, 1, 3), images.reshape(3, pixels, batches).transpose(2, 1, 0)
+def as_arrays(colors: Any, batches: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What `jacobian` returns, of the columns and, last, the image; the pixels' numbers beside each other."""
+    values = np.empty((len(colors), 3, batches, len(colors[0][0]) // batches))
+    for row, color in zip(values, colors, strict=True):
+        for own, channel in zip(row, color, strict=True):
+            own[...] = np.asarray(channel).reshape(own.shape)
+    return values[:-1].transpose(2, 3, 1, 0), values[-1].transpose(1, 2, 0)
 
 
 @dr.syntax  # type: ignore[untyped-decorator]  # Dr.Jit is untyped here
@@ -327,35 +337,58 @@ def _sum_pairs(
     image = mi.Color3f(0.0)
     turns = (number + (pairs.kinds - 1)) // pairs.kinds
     start = mi.UInt32(sampler.next_1d() * mi.Float(starts))
-    rng = mi.PCG32(sampler.rng)
-    pair_rng = mi.PCG32(rng)
+    state = mi.UInt64(sampler.rng.state)
+    pair_state = mi.UInt64(state)
+    drawn = (mi.Point2f(0.0), mi.Vector2f(0.0), mi.Float(0.0))
+    aperture, emitter, direction = (mi.Point2f(0.0) for _ in range(3))
     i = mi.UInt32(0)
     while dr.hint(
-        i < 2 * number, exclude=[view, prepared, pairs, view_term, counts, even], label="antithetic pairs"
+        i < 2 * number,
+        exclude=[
+            view,
+            prepared,
+            pairs,
+            view_term,
+            counts,
+            even,
+            sampler,
+            centre,
+            baseline,
+            number,
+            start,
+            turns,
+            transform,
+            world_to_camera,
+        ],
+        label="antithetic pairs",
     ):
         # Both halves of a pair trace their paths with the same random numbers.
         mirrored = (i & 1) == 1
-        pair_rng.state = dr.select(mirrored, pair_rng.state, rng.state)
-        rng.state = mi.UInt64(pair_rng.state)
-        path_sampler = type(sampler)(rng)
+        pair_state = dr.select(mirrored, pair_state, state)
+        path_sampler = resumed(sampler, pair_state)
 
         index = (i >> 1) + start
         turn, kind = index // pairs.kinds, index % pairs.kinds
-        # One pixel's points of a kind, of which a column is made, follow one another, then its neighbour's.
-        place = (kind * (BLOCK * BLOCK) + even.rank) * turns + turn
-        (along, across, *emitter), (*direction, lens_x, lens_y) = (
-            sobol_point(place, seeds) for seeds in even.seeds
-        )
-        half = pairs.draw(kind, mi.Point2f(along, across), mirrored, counts)
-        first = (mi.Point2f(*emitter), mi.Point2f(*direction))
+        if dr.hint(mirrored, exclude=[pairs, counts, even, turns]):
+            drawn = tuple(PairSample(*drawn).mirrored(kind))
+        else:
+            # A pixel's points of a kind, of which a column is made, follow one another, then its neighbour's.
+            place = (kind * (BLOCK * BLOCK) + even.rank) * turns + turn
+            at_film = sobol_point(place, even.seeds[0])
+            # Neighbours' paths, traced together, then go on in the same quarter of directions.
+            on_path = sobol_point(place, even.seeds[1], quarters=True)
+            drawn = tuple(pairs.draw(kind, mi.Point2f(*at_film[:2]), counts))
+            emitter = mi.Point2f(*at_film[2:])
+            direction, aperture = mi.Point2f(*on_path[:2]), mi.Point2f(*on_path[2:])
+        half = PairSample(*drawn)
         film = centre + mi.Vector2f(half.offset)
-        ray, importance = camera_ray(view, film, mi.Point2f(lens_x, lens_y))
+        ray, importance = camera_ray(view, film, aperture)
         world_ray = move_ray(ray, transform)
         if dr.hint(view_term is not None, mode="scalar"):
             angle = path_sampler.next_1d()
             shifted_sampler = path_sampler.clone()
-        seen = prepared.tracer.trace(view, path_sampler, world_ray, first)
-        rng = mi.PCG32(path_sampler.rng)
+        seen = prepared.tracer.trace(view, path_sampler, world_ray, (emitter, direction))
+        state = mi.UInt64(path_sampler.rng.state)
         light = importance * seen.light
 
         to_lens = ray.o.z / ray.d.z
@@ -375,7 +408,14 @@ def _sum_pairs(
         if dr.hint(view_term is not None, mode="scalar"):
             tangent = _tangent(ray.d, angle, mirrored)
             change = view_term.along(
-                view, prepared.tracer, shifted_sampler, first, world_ray, seen, distance, transform @ tangent
+                view,
+                prepared.tracer,
+                shifted_sampler,
+                (emitter, direction),
+                world_ray,
+                seen,
+                distance,
+                transform @ tangent,
             )
             change *= importance * half.value
             turning = dr.cross(lens, tangent)

@@ -119,7 +119,7 @@ def per_batch(paths: NDArray[np.float64], batches: int) -> NDArray[np.float64]:
 
 def per_path(color: mi.Color3f, spp: int) -> NDArray[np.float64]:
     """(n, spp, 3) of one lane per path."""
-    return np.array(color, dtype=np.float64).T.reshape(-1, spp, 3)
+    return np.array(color, dtype=np.float64).reshape(3, spp, -1).transpose(2, 1, 0)
 
 
 def _attached_transform(pose: NDArray[np.float64], twist: list[mi.Float]) -> mi.Transform4f:

@@ -15,7 +15,7 @@ Source: design section 4.1; antithetic sampling, Zhang et al. 2021; filter deriv
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import drjit as dr
 import numpy as np
@@ -32,8 +32,7 @@ GRID = 1024
 """Cells of [0, radius] that h is linear in."""
 
 
-@dataclass(frozen=True)
-class PairSample:
+class PairSample(NamedTuple):
     """One half of a pair; weights include 1/(number of samples), so that estimates are plain sums."""
 
     offset: mi.Point2f
@@ -42,6 +41,12 @@ class PairSample:
     """∇h/p [1/pixel]; only the component of the pair's own axis."""
     value: mi.Float
     """h/p."""
+
+    def mirrored(self, kind: mi.UInt32) -> PairSample:
+        """The other half of a pair, mirrored in x (kind 0), in y (kind 1) or in the centre (kind 2)."""
+        x, y = self.offset
+        offset = type(self.offset)(dr.select(kind == 1, x, -x), dr.select(kind == 0, y, -y))
+        return PairSample(offset, -self.gradient, self.value)
 
 
 @dataclass(frozen=True)
@@ -98,13 +103,11 @@ class SmoothPairs:
             upload(mi.Float, ratio),
         )
 
-    def draw(
-        self, kind: mi.UInt32, point: mi.Point2f, mirrored: mi.Bool, counts: list[mi.Float]
-    ) -> PairSample:
-        """One half of a pair along x (kind 0) or y (kind 1).
+    def draw(self, kind: mi.UInt32, point: mi.Point2f, counts: list[mi.Float]) -> PairSample:
+        """The first half of a pair along x (kind 0) or y (kind 1).
 
         Args:
-            point: uniform in [0, 1)², along and across the axis, the same for both halves.
+            point: uniform in [0, 1)², along and across the axis.
             counts: (expected) number of pairs of each kind.
         """
         import mitsuba as mi
@@ -121,13 +124,12 @@ class SmoothPairs:
         h_s = self.pixel_filter.eval(s)
         # |x| has density 1/(N width), x half of it, and each of the two halves half the pair's weight.
         weight = h_s / q * (CELLS * dr.rcp(dr.select(along_x, counts[0], counts[1])))
-        slope = dr.select(mirrored, h_low - h_high, h_high - h_low) * weight
+        slope = (h_high - h_low) * weight
         ratio_r = self._ratio(r) * dr.select(along_x, counts[0], counts[1])
         ratio_s = self._ratio(dr.abs(s)) * dr.select(along_x, counts[1], counts[0])
         value = h_r * (high - low) * weight * ratio_r / (ratio_r + ratio_s)
-        signed = dr.select(mirrored, -r, r)
         return PairSample(
-            dr.select(along_x, mi.Point2f(signed, s), mi.Point2f(s, signed)),
+            dr.select(along_x, mi.Point2f(r, s), mi.Point2f(s, r)),
             dr.select(along_x, mi.Vector2f(slope, 0.0), mi.Vector2f(0.0, slope)),
             value,
         )
@@ -148,26 +150,20 @@ class BoxPairs:
 
     kinds = 3
 
-    def draw(
-        self, kind: mi.UInt32, point: mi.Point2f, mirrored: mi.Bool, counts: list[mi.Float]
-    ) -> PairSample:
-        """One half of a pair on the edges that x (kind 0) or y (kind 1) crosses, or inside (kind 2)."""
+    def draw(self, kind: mi.UInt32, point: mi.Point2f, counts: list[mi.Float]) -> PairSample:
+        """The first half of a pair on the edges that x (kind 0) or y (kind 1) crosses, or inside (kind 2)."""
         import mitsuba as mi
 
         side = 2.0 * self.radius
         x, y = (point.x - 0.5) * side, (point.y - 0.5) * side
-        inside = mi.Point2f(x, y)
-        point = dr.select(
-            kind == 0,
-            mi.Point2f(self.radius, y),
-            dr.select(kind == 1, mi.Point2f(y, self.radius), dr.select(mirrored, -inside, inside)),
-        )
-        point.x = dr.select(mirrored & (kind == 0), -point.x, point.x)
-        point.y = dr.select(mirrored & (kind == 1), -point.y, point.y)
         # ∂h/∂x is −h₀ on the right edge and +h₀ on the left, h₀ = 1/side; an edge is side long.
-        slope = dr.select(mirrored, 1.0, -1.0) / side * dr.rcp(dr.select(kind == 0, counts[0], counts[1]))
+        slope = -1.0 / side * dr.rcp(dr.select(kind == 0, counts[0], counts[1]))
         return PairSample(
-            point,
+            dr.select(
+                kind == 0,
+                mi.Point2f(self.radius, y),
+                dr.select(kind == 1, mi.Point2f(y, self.radius), mi.Point2f(x, y)),
+            ),
             mi.Vector2f(dr.select(kind == 0, slope, 0.0), dr.select(kind == 1, slope, 0.0)),
             dr.select(kind == 2, 0.5 * dr.rcp(counts[2]), 0.0),
         )

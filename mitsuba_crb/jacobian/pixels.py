@@ -121,6 +121,18 @@ def lane_sampler(pixel: mi.UInt32, batch: mi.UInt32, seed: int, purpose: int = 0
     return _sampler_class()(mi.PCG32(1, state, stream))
 
 
+def resumed(sampler: mi.Sampler, state: mi.UInt64) -> mi.Sampler:
+    """A sampler from `lane_sampler` elsewhere in its streams.
+
+    Loops carry the state alone: whatever they carry and leave unchanged makes Dr.Jit trace them twice.
+    """
+    import mitsuba as mi
+
+    rng = mi.PCG32(sampler.rng)
+    rng.state = mi.UInt64(state)
+    return type(sampler)(rng)
+
+
 @dataclass(frozen=True)
 class EvenNumbers:
     """Random points of [0, 1)^d that the pixels of a film block share out evenly among them, batch by batch.
@@ -144,14 +156,14 @@ class EvenNumbers:
 
         block = pixels // BLOCK
         columns = -(-view.size[0] // BLOCK)
-        batch = upload(mi.UInt32, np.tile(np.arange(batches), len(pixels)))
-        of_block = upload(mi.UInt32, np.repeat(block[:, 1] * columns + block[:, 0], batches))
+        batch = upload(mi.UInt32, np.repeat(np.arange(batches), len(pixels)))
+        of_block = upload(mi.UInt32, np.tile(block[:, 1] * columns + block[:, 0], batches))
         sampler = lane_sampler(of_block, batch, seed, EVEN)
         local = pixels - BLOCK * block
         x, y = local.T
         bits = range((BLOCK - 1).bit_length())
         z_order = sum((x >> bit & 1) << 2 * bit | (y >> bit & 1) << 2 * bit + 1 for bit in bits)
-        rank = upload(mi.UInt32, np.repeat(z_order, batches))
+        rank = upload(mi.UInt32, np.tile(z_order, batches))
         return EvenNumbers(rank, [_sequence_seeds(sampler, d) for d in dimensions])
 
 
@@ -201,10 +213,8 @@ class PixelFilter:
     norm: float
     """∫ of Mitsuba's unnormalised one-dimensional filter."""
     table: OffsetTable
-    nodes: NDArray[np.float64]
-    """Midpoints of even cells of [−radius, radius] [pixel]."""
     values: NDArray[np.float64]
-    """h there [1/pixel]."""
+    """h in the middle of even cells of [−radius, radius] [1/pixel]."""
 
     @staticmethod
     def of(rfilter: mi.ReconstructionFilter) -> PixelFilter:
@@ -218,7 +228,7 @@ class PixelFilter:
         values = np.array(rfilter.eval(upload(mi.Float, middle)), dtype=np.float64)
         norm = float(values.sum() * (edges[1] - edges[0]))
         density = np.abs(np.interp(edges, middle, values))
-        return PixelFilter(rfilter, radius, norm, OffsetTable.of(density, radius), middle, values / norm)
+        return PixelFilter(rfilter, radius, norm, OffsetTable.of(density, radius), values / norm)
 
     def eval(self, x: mi.Float) -> mi.Float:
         """h(x) [1/pixel] in one dimension."""
@@ -226,7 +236,10 @@ class PixelFilter:
 
     def interpolate(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """h(x) [1/pixel] in one dimension, within 1e-6, of offsets inside the radius."""
-        return np.interp(x, self.nodes, self.values)
+        place = (x / self.radius + 1.0) * (0.5 * len(self.values)) - 0.5
+        cell = np.clip(place.astype(np.int64), 0, len(self.values) - 2)
+        low = self.values[cell]
+        return np.asarray(low + (place - cell) * (self.values[cell + 1] - low))
 
     def sample(self, u: mi.Point2f) -> tuple[mi.Point2f, mi.Float]:
         """Offset from the pixel's centre [pixel] and its weight h/density, of mean one."""
@@ -291,12 +304,12 @@ def opaque_transform(matrix: NDArray[np.float64]) -> mi.Transform4f:
 
 
 def lanes(view: View, pixels: NDArray[np.int64], batches: int) -> tuple[mi.UInt32, mi.UInt32, mi.Point2f]:
-    """Pixel index, batch and pixel centre [pixel] of each lane; the batch runs fastest."""
+    """Pixel index, batch and pixel centre [pixel] of each lane; the pixel runs fastest."""
     import mitsuba as mi
 
     index = pixels[:, 1] * view.size[0] + pixels[:, 0]
-    pixel = upload(mi.UInt32, np.repeat(index, batches))
-    batch = upload(mi.UInt32, np.tile(np.arange(batches), len(pixels)))
+    pixel = upload(mi.UInt32, np.tile(index, batches))
+    batch = upload(mi.UInt32, np.repeat(np.arange(batches), len(pixels)))
     width = dr.opaque(mi.UInt32, view.size[0])
     row = pixel // width
     return pixel, batch, mi.Point2f(mi.Float(pixel - row * width) + 0.5, mi.Float(row) + 0.5)
@@ -327,7 +340,7 @@ def render_pixels(
     total = start_pixels(
         view, pixels, spp=spp, seed=seed, batches=batches, pose=pose, purpose=purpose, even=even
     )
-    values = download(total).reshape(3, -1, batches).transpose(2, 1, 0) / spp
+    values = download(total).reshape(3, batches, -1).transpose(1, 2, 0) / spp
     return values[:, : len(pixels)]
 
 
@@ -380,14 +393,21 @@ def sum_samples(
     seeds = [mi.UInt32(0)] * 3
     if dr.hint(even, mode="scalar"):
         seeds = _sequence_seeds(sampler, 2)
-    while dr.hint(i < spp, exclude=[view, pixel_filter], label="pixel samples"):
+    state = mi.UInt64(sampler.rng.state)
+    while dr.hint(
+        i < spp,
+        exclude=[view, pixel_filter, sampler, seeds, centre, transform, spp, even],
+        label="pixel samples",
+    ):
+        own = resumed(sampler, state)
         if dr.hint(even, mode="scalar"):
             offset, weight = pixel_filter.sample(mi.Point2f(*sobol_point(i, seeds)))
         else:
-            offset, weight = pixel_filter.sample(sampler.next_2d())
-        aperture = sampler.next_2d()
+            offset, weight = pixel_filter.sample(own.next_2d())
+        aperture = own.next_2d()
         ray, importance = camera_ray(view, centre + mi.Vector2f(offset), aperture)
-        total += weight * importance * radiance(view, sampler, move_ray(ray, transform))
+        total += weight * importance * radiance(view, own, move_ray(ray, transform))
+        state = own.rng.state
         i += 1
     return total
 
