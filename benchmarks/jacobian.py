@@ -20,6 +20,7 @@ All numbers also go to benchmarks/jacobian.json.
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import os
 import re
@@ -124,47 +125,51 @@ def paths_alone(scene: Any, size: int, spp: int) -> Callable[[], None]:
     return trace
 
 
-def sides(names: list[str], sizes: list[int], spp: int) -> list[dict[str, Any]]:
+def alone(measure: Callable[..., list[dict[str, Any]]], *arguments: Any) -> list[dict[str, Any]]:
+    """A measurement with the scenes before it gone: kernels call what any scene in memory brings along."""
+    gc.collect()
+    return measure(*arguments)
+
+
+def sides(name: str, size: int, spp: int) -> list[dict[str, Any]]:
     """Renders, paths, Jacobian and bound, in turns."""
     rows = []
-    for name in names:
-        for size in sizes:
-            scene = opened(name, size, box=True)
-            calls: dict[str, Callable[[], object]] = {
-                "render, gaussian film": renders(scene, spp, 0),
-                "render, box film": renders(scene, spp, 1),
-                "paths alone": paths_alone(scene, size, spp),
-                "pose_bound": lambda scene=scene: pose_bound(scene, spp=spp),
-            }
-            if size <= 512:  # the whole Jacobian of a larger image is gigabytes
-                calls["pose_jacobian"] = lambda scene=scene: pose_jacobian(scene, spp=spp)
-            if size <= 64:  # they take tens of renders
-                for method in ("forward", "finite_difference"):
-                    calls[f"pose_bound, {method}"] = partial(pose_bound, scene, spp=spp, method=method)
-            for call in calls.values():
-                call()
-            rounds = [{side: timed(call) for side, call in calls.items()} for _ in range(ROUNDS)]
-            table = Table(
-                "",
-                "s",
-                "x gaussian",
-                "x box",
-                "CPU s",
-                "x gaussian",
-                "x box",
-                title=f"{name} {size}x{size}, {spp} spp",
-            )
-            for side in calls:
-                row: dict[str, Any] = {"scene": name, "size": size, "spp": spp, "side": side}
-                for kind, which in enumerate(("seconds", "cpu_seconds")):
-                    row[which] = statistics.median(r[side][kind] for r in rounds)
-                    for film in ("gaussian", "box"):
-                        row[f"{which}_per_{film}_render"] = statistics.median(
-                            r[side][kind] / max(r[f"render, {film} film"][kind], 1e-3) for r in rounds
-                        )
-                rows.append(row)
-                table.add_row(side, *(f"{row[key]:.3f}" for key in list(row)[4:]))
-            console.print(table)
+    scene = opened(name, size, box=True)
+    calls: dict[str, Callable[[], object]] = {
+        "render, gaussian film": renders(scene, spp, 0),
+        "render, box film": renders(scene, spp, 1),
+        "paths alone": paths_alone(scene, size, spp),
+        "pose_bound": lambda scene=scene: pose_bound(scene, spp=spp),
+    }
+    if size <= 512:  # the whole Jacobian of a larger image is gigabytes
+        calls["pose_jacobian"] = lambda scene=scene: pose_jacobian(scene, spp=spp)
+    if size <= 64:  # they take tens of renders
+        for method in ("forward", "finite_difference"):
+            calls[f"pose_bound, {method}"] = partial(pose_bound, scene, spp=spp, method=method)
+    for call in calls.values():
+        call()
+    rounds = [{side: timed(call) for side, call in calls.items()} for _ in range(ROUNDS)]
+    table = Table(
+        "",
+        "s",
+        "x gaussian",
+        "x box",
+        "CPU s",
+        "x gaussian",
+        "x box",
+        title=f"{name} {size}x{size}, {spp} spp",
+    )
+    for side in calls:
+        row: dict[str, Any] = {"scene": name, "size": size, "spp": spp, "side": side}
+        for kind, which in enumerate(("seconds", "cpu_seconds")):
+            row[which] = statistics.median(r[side][kind] for r in rounds)
+            for film in ("gaussian", "box"):
+                row[f"{which}_per_{film}_render"] = statistics.median(
+                    r[side][kind] / max(r[f"render, {film} film"][kind], 1e-3) for r in rounds
+                )
+        rows.append(row)
+        table.add_row(side, *(f"{row[key]:.3f}" for key in list(row)[4:]))
+    console.print(table)
     return rows
 
 
@@ -195,71 +200,71 @@ def _bound_into(runs: list[Any], scene: Any, spp: int, method: str) -> None:
     runs.append(pose_bound(scene, spp=spp, method=method))
 
 
-def precision(small: int, spp: int) -> list[dict[str, Any]]:
-    """Seconds to 1 %, by every method that is right; of smooth scenes in two sizes."""
+def precision(name: str, size: int, spp: int, with_forward: bool) -> list[dict[str, Any]]:
+    """Seconds to 1 %, by every method that is right."""
     rows = []
-    for name, size in [(n, small) for n in SMOOTH + JUMPING] + [(n, 2 * small) for n in SMOOTH]:
-        scene = opened(name, size)
-        table = Table(
-            "method",
-            "s",
-            "se of trace",
-            "s to 1 %",
-            "x flow",
-            "se of λ_min",
-            "s to 1 %",
-            "x flow",
-            title=f"{name} {size}x{size}, {spp} spp",
+    scene = opened(name, size)
+    table = Table(
+        "method",
+        "s",
+        "se of trace",
+        "s to 1 %",
+        "x flow",
+        "se of λ_min",
+        "s to 1 %",
+        "x flow",
+        title=f"{name} {size}x{size}, {spp} spp",
+    )
+    methods = ("flow", "finite_difference", "forward")[: 3 if with_forward else 2]
+    runs: dict[str, list[Any]] = {method: [] for method in methods}
+    for method in methods:
+        pose_bound(scene, spp=4, method=method)
+    calls = {method: partial(_bound_into, runs[method], scene, spp, method) for method in methods}
+    rounds = [{method: timed(call)[0] for method, call in calls.items()} for _ in range(3)]
+    for method in methods:
+        seconds = statistics.median(times[method] for times in rounds)
+        rank = runs["flow"][-1].rank
+        trace, smallest = relative_errors(runs[method][-1].information, rank)
+        row = {
+            "scene": name,
+            "size": size,
+            "method": method,
+            "seconds": seconds,
+            "trace_error": trace,
+            "smallest_error": smallest,
+        }
+        row |= {
+            "seconds_to_1_percent": seconds * (trace / 0.01) ** 2,
+            "smallest_seconds_to_1_percent": seconds * (smallest / 0.01) ** 2,
+        }
+        rows.append(row)
+        flow = next(r for r in reversed(rows) if r["method"] == "flow")
+        table.add_row(
+            method,
+            f"{seconds:.2f}",
+            f"{trace:.3%}",
+            f"{row['seconds_to_1_percent']:.3f}",
+            f"{row['seconds_to_1_percent'] / flow['seconds_to_1_percent']:.1f}",
+            f"{smallest:.3%}",
+            f"{row['smallest_seconds_to_1_percent']:.3f}",
+            f"{row['smallest_seconds_to_1_percent'] / flow['smallest_seconds_to_1_percent']:.1f}",
         )
-        methods = ("flow", "finite_difference", "forward")[: 3 if name in SMOOTH and size == small else 2]
-        runs: dict[str, list[Any]] = {method: [] for method in methods}
-        for method in methods:
-            pose_bound(scene, spp=4, method=method)
-        calls = {method: partial(_bound_into, runs[method], scene, spp, method) for method in methods}
-        rounds = [{method: timed(call)[0] for method, call in calls.items()} for _ in range(3)]
-        for method in methods:
-            seconds = statistics.median(times[method] for times in rounds)
-            rank = runs["flow"][-1].rank
-            trace, smallest = relative_errors(runs[method][-1].information, rank)
-            row = {
-                "scene": name,
-                "size": size,
-                "method": method,
-                "seconds": seconds,
-                "trace_error": trace,
-                "smallest_error": smallest,
-            }
-            row |= {
-                "seconds_to_1_percent": seconds * (trace / 0.01) ** 2,
-                "smallest_seconds_to_1_percent": seconds * (smallest / 0.01) ** 2,
-            }
-            rows.append(row)
-            flow = next(r for r in reversed(rows) if r["method"] == "flow")
-            table.add_row(
-                method,
-                f"{seconds:.2f}",
-                f"{trace:.3%}",
-                f"{row['seconds_to_1_percent']:.3f}",
-                f"{row['seconds_to_1_percent'] / flow['seconds_to_1_percent']:.1f}",
-                f"{smallest:.3%}",
-                f"{row['smallest_seconds_to_1_percent']:.3f}",
-                f"{row['smallest_seconds_to_1_percent'] / flow['smallest_seconds_to_1_percent']:.1f}",
-            )
-        console.print(table)
-        if name != "textured_room":
-            continue
-        large = opened(name, 2 * size)
-        found: list[Any] = []
-        once = partial(_bound_into, found, large, spp, "flow")
-        seconds = statistics.median(timed(once)[0] for _ in range(4))
-        trace, _ = relative_errors(found[-1].information)
-        to_go = seconds * (trace / 0.01) ** 2
-        rows.append({"scene": name, "size": 2 * size, "method": "flow", "seconds_to_1_percent": to_go})
-        console.print(
-            f"bound on {name} {2 * size}x{2 * size}, warm: {seconds:.2f} s for {trace:.3%} of the trace, "
-            f"{to_go:.2f} s to 1 %"
-        )
+    console.print(table)
     return rows
+
+
+def warm(name: str, size: int, spp: int) -> list[dict[str, Any]]:
+    """Seconds to 1 % of a bound, once its kernels are compiled."""
+    scene = opened(name, size)
+    found: list[Any] = []
+    once = partial(_bound_into, found, scene, spp, "flow")
+    seconds = statistics.median(timed(once)[0] for _ in range(4))
+    trace, _ = relative_errors(found[-1].information)
+    to_go = seconds * (trace / 0.01) ** 2
+    console.print(
+        f"bound on {name} {size}x{size}, warm: {seconds:.2f} s for {trace:.3%} of the trace, "
+        f"{to_go:.2f} s to 1 %"
+    )
 
 
 def scaling(title: str, counts: list[int], calls: list[Callable[[], object]]) -> list[dict[str, Any]]:
@@ -327,10 +332,17 @@ def main() -> None:
     size = 128 if options.quick else 512
     sizes = options.sizes or ([64, 128] if options.quick else [64, 256, 512, 1024])
     runs: dict[str, Callable[[], list[dict[str, Any]]]] = {
-        "sides": lambda: sides(options.scenes, sizes, options.spp),
-        "precision": lambda: precision(size // 2, options.spp),
-        "pixels": lambda: pixels(256 if options.quick else 2048),
-        "subset": lambda: subset(512 if options.quick else 2048),
+        "sides": lambda: [
+            row for name in options.scenes for n in sizes for row in alone(sides, name, n, options.spp)
+        ],
+        "precision": lambda: [
+            *(row for n in SMOOTH for row in alone(precision, n, size // 2, options.spp, True)),
+            *(row for n in JUMPING for row in alone(precision, n, size // 2, options.spp, False)),
+            *(row for n in SMOOTH for row in alone(precision, n, size, options.spp, False)),
+            *alone(warm, "textured_room", size, options.spp),
+        ],
+        "pixels": lambda: alone(pixels, 256 if options.quick else 2048),
+        "subset": lambda: alone(subset, 512 if options.quick else 2048),
         "cold": lambda: cold(size),
     }
     results: dict[str, Any] = {"load": os.getloadavg(), "cores": os.cpu_count()}

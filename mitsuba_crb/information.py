@@ -58,7 +58,7 @@ _UNIT = 4
 """Side [pixel] of the units whose products are summed where pixels are independent: larger units would say
 less of the variance, single pixels take ten times as long."""
 
-_CHUNK = 4096  # pixels whose products are held at once, about
+_CHUNK = 4096  # pixels whose products are held at once, about; half as many if each has products of its own
 
 
 def places(pixels: NDArray[np.integer], side: int) -> NDArray[np.int64]:
@@ -392,7 +392,8 @@ class InformationAccumulator:
             values, root = values[:, order], root[order]
         self._count += len(positions)
         self._informative = self._informative or bool(precision.any())
-        cuts = np.unique(np.searchsorted(starts, np.append(np.arange(0, len(order), _CHUNK), len(order))))
+        chunk = _CHUNK // 2 if self._sampled else _CHUNK
+        cuts = np.unique(np.searchsorted(starts, np.append(np.arange(0, len(order), chunk), len(order))))
         for low, high in pairwise(cuts):
             part = slice(starts[low], starts[high])
             whitened = whiten(values[:, part], root[part])

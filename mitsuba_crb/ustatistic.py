@@ -50,7 +50,7 @@ class VarianceComponents:
         mean: Array = h.mean(axis=0)
         d = h - mean
         pairs = list(combinations(range(K), 2))
-        s = (d[[k in pair for pair in pairs]].sum(axis=0) for k in range(K))
+        s = (sum(d_kl for d_kl, pair in zip(d, pairs, strict=True) if k in pair) for k in range(K))
         linear = sum(gram(s_k.T) for s_k in s) / (K - 2)
         self._linear += linear
         self._degenerate += sum(gram(d_kl.T) for d_kl in d) - linear
@@ -137,10 +137,11 @@ def unit_grams(whitened: Array, starts: NDArray[np.intp]) -> Array:
     for size in np.unique(sizes):
         which = np.flatnonzero(sizes == size)
         if len(which) == len(sizes):
-            units = rows.reshape(C, K * P, len(sizes), size)
+            units = rows.reshape(C, K * P, len(sizes), size).transpose(0, 2, 3, 1)
+            grams[which] = gram(units).sum(axis=0)
         else:
-            units = rows[:, :, starts[which, None] + np.arange(size)]
-        grams[which] = gram(units.transpose(0, 2, 3, 1)).sum(axis=0)
+            units = rows[:, :, starts[which, None] + np.arange(size)].transpose(2, 0, 3, 1)
+            grams[which] = gram(units.reshape(len(which), C * size, K * P))
     return grams
 
 

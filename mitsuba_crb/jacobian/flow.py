@@ -86,8 +86,11 @@ class Pilot:
     @staticmethod
     def of(view: View, mask: NDArray[np.bool_], seed: int) -> Pilot:
         """For the pixels of a mask (H, W)."""
-        rows, columns = (np.arange(0, n, PILOT_CELL) for n in mask.shape)
-        held = np.logical_or.reduceat(np.logical_or.reduceat(mask, rows, axis=0), columns, axis=1)
+        rows, columns = (-(-n // PILOT_CELL) for n in mask.shape)
+        whole = np.zeros((rows * PILOT_CELL, columns * PILOT_CELL), dtype=bool)
+        whole[: mask.shape[0], : mask.shape[1]] = mask
+        banded = np.any(whole.reshape(rows, PILOT_CELL, -1), axis=1)
+        held = np.asarray(np.any(banded.reshape(rows, columns, -1), axis=2))
         probed = PILOT_CELL * selected(held)
         place = (np.cumsum(held) - 1).reshape(held.shape)
         return Pilot(place, start_pixels(view, probed, spp=PILOT_SPP, seed=seed, purpose=PILOT))
