@@ -265,6 +265,7 @@ def warm(name: str, size: int, spp: int) -> list[dict[str, Any]]:
         f"bound on {name} {size}x{size}, warm: {seconds:.2f} s for {trace:.3%} of the trace, "
         f"{to_go:.2f} s to 1 %"
     )
+    return [{"scene": name, "size": size, "method": "flow", "seconds_to_1_percent": to_go}]
 
 
 def scaling(title: str, counts: list[int], calls: list[Callable[[], object]]) -> list[dict[str, Any]]:
