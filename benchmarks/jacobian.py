@@ -12,8 +12,8 @@ by the other methods; medians of five alternating warm rounds and their ratios t
 time and of CPU time (which other processes disturb less). precision: seconds until the standard error is 1 %
 of the trace and of the smallest observed eigenvalue of F (camera frame, translation in length scales), from
 one measured run and se ∝ 1/√spp, for flow, finite_difference, and forward where it is right; medians of
-three alternating rounds. pixels, subset: cost against the number of pixels, and its log-log slope. cold: one
-process, imports and compilation included.
+three alternating rounds; and, warm, of flow alone for a larger room. pixels, subset: cost against the number
+of pixels, and its log-log slope. cold: one process, imports and compilation included.
 All numbers also go to benchmarks/jacobian.json.
 """
 
@@ -258,6 +258,7 @@ def warm(name: str, size: int, spp: int) -> list[dict[str, Any]]:
     scene = opened(name, size)
     found: list[Any] = []
     once = partial(_bound_into, found, scene, spp, "flow")
+    once()
     seconds = statistics.median(timed(once)[0] for _ in range(4))
     trace, _ = relative_errors(found[-1].information)
     to_go = seconds * (trace / 0.01) ** 2

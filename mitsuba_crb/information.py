@@ -388,14 +388,14 @@ class InformationAccumulator:
             return
         root = square_root(precision)
         order, starts = self._order(positions)
-        if np.any(np.diff(order) < 0):
-            values, root = values[:, order], root[order]
+        in_order = not np.any(np.diff(order) < 0)
         self._count += len(positions)
         self._informative = self._informative or bool(precision.any())
         chunk = _CHUNK // 2 if self._sampled else _CHUNK
         cuts = np.unique(np.searchsorted(starts, np.append(np.arange(0, len(order), chunk), len(order))))
         for low, high in pairwise(cuts):
-            part = slice(starts[low], starts[high])
+            part: Any = slice(starts[low], starts[high])
+            part = part if in_order else order[part]
             whitened = whiten(values[:, part], root[part])
             own = starts[low : high + 1] - starts[low]
             if self._sampled:

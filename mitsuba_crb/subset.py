@@ -132,9 +132,9 @@ def selected(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
 def tiles(mask: NDArray[np.bool_], tile: int) -> Iterator[NDArray[np.int64]]:
     """The selected pixels (n, 2) of one tile after the other, of several at once where few are selected.
 
-    In the order in which information sums them up, block by block, each row by row. Several tiles are up to a
-    quarter of one, so that even a small subset has several parts, of which one can be summed up while the
-    next one's paths are traced.
+    In the order in which flow's information sums them up, block by block, each row by row. Several tiles are
+    up to a quarter of one, so that even a small subset has several parts, of which one can be summed up while
+    the next one's paths are traced.
     """
     height, width = mask.shape
     held: list[NDArray[np.int64]] = []

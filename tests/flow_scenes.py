@@ -277,7 +277,10 @@ ROWS: dict[str, Row] = {
     "dielectric": Row(between_lamps({"type": "dielectric"}), tolerance=0.03, error=0.01),
     "glass_pane": Row(between_lamps({"type": "thindielectric"}), tolerance=0.03, error=0.01),
     "thin_lens_mirror": Row(
-        between_lamps({"type": "conductor"}, sensor=camera() | THIN_LENS), tolerance=0.03, error=0.01
+        between_lamps({"type": "conductor"}, sensor=camera() | THIN_LENS),
+        spp=16384,
+        tolerance=0.03,
+        error=0.01,
     ),
     "mask": Row(
         between_lamps({"type": "mask", "opacity": texture(8, 12), "bsdf": {"type": "conductor"}}),

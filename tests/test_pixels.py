@@ -54,6 +54,32 @@ def test_offsets_integrate_the_filter(name: str) -> None:
         assert w.min() < 0
 
 
+@pytest.mark.parametrize(
+    "rfilter",
+    [
+        {"type": "gaussian"},
+        {"type": "gaussian", "stddev": 0.4},
+        {"type": "tent", "radius": 0.75},
+        {"type": "box"},
+        {"type": "lanczos", "lobes": 2},
+    ],
+)
+def test_interpolation_is_the_filter_inside_and_zero_outside(rfilter: dict[str, Any]) -> None:
+    """Also in the footprint of contours' samples, which ends at a whole pixel; ∫h = 1."""
+    sensor = camera(16, 12)
+    sensor["film"] |= {"rfilter": rfilter}
+    with open_view(scene(sensor=sensor)) as view:
+        pixel_filter = view.pixel_filter
+        x = np.linspace(-1.0, 1.0, 20002) * (np.ceil(2.0 * pixel_filter.radius) + 1.0)
+        inside = np.abs(x) < pixel_filter.radius
+        expected = np.where(inside, np.array(pixel_filter.eval(mi.Float(x)), dtype=np.float64), 0.0)
+    h = pixel_filter.interpolate(x)
+    border = np.abs(np.abs(x) - pixel_filter.radius) < 2.0 * pixel_filter.radius / len(pixel_filter.values)
+    assert h[~border] == pytest.approx(expected[~border], abs=3e-5)
+    assert np.all(h[np.abs(x) > pixel_filter.radius] == 0.0)
+    assert h.sum() * (x[1] - x[0]) == pytest.approx(1.0, abs=1e-3)
+
+
 def test_an_offset_table_has_the_density_that_it_reports() -> None:
     grid = np.linspace(-2.0, 2.0, 4001)
     table = OffsetTable.of(np.exp(-(grid**2)), 2.0, count=64)

@@ -379,7 +379,7 @@ def _sum_pairs(
             place = (kind * (BLOCK * BLOCK) + even.rank) * turns + turn
             at_film = sobol_point(place, even.seeds[0])
             # Neighbours' paths, traced together, then go on in the same quarter of directions.
-            on_path = sobol_point(place, even.seeds[1], quarters=True)
+            on_path = sobol_point(place, even.seeds[1], quarters=(turns & 3) == 0)
             drawn = tuple(pairs.draw(kind, mi.Point2f(*at_film[:2]), counts))
             emitter = mi.Point2f(*at_film[2:])
             direction, aperture = mi.Point2f(*on_path[:2]), mi.Point2f(*on_path[2:])

@@ -235,11 +235,12 @@ class PixelFilter:
         return self.rfilter.eval(x) / self.norm
 
     def interpolate(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """h(x) [1/pixel] in one dimension, within 1e-6, of offsets inside the radius."""
+        """h(x) [1/pixel] in one dimension, to what float32 leaves of it (3e-5); zero beyond the radius."""
         place = (x / self.radius + 1.0) * (0.5 * len(self.values)) - 0.5
         cell = np.clip(place.astype(np.int64), 0, len(self.values) - 2)
         low = self.values[cell]
-        return np.asarray(low + (place - cell) * (self.values[cell + 1] - low))
+        h = low + (place - cell) * (self.values[cell + 1] - low)
+        return np.where(np.abs(x) <= self.radius, h, 0.0)
 
     def sample(self, u: mi.Point2f) -> tuple[mi.Point2f, mi.Float]:
         """Offset from the pixel's centre [pixel] and its weight h/density, of mean one."""

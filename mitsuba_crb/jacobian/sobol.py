@@ -27,22 +27,25 @@ _FACTORS = (0x6C50B47C, 0xB82F1E52)
 """Even: a bit must not decide about itself."""
 
 
-def sobol_point(number: mi.UInt32, seeds: list[mi.UInt32], *, quarters: bool = False) -> list[mi.Float]:
+def sobol_point(
+    number: mi.UInt32, seeds: list[mi.UInt32], *, quarters: mi.Bool | bool = False
+) -> list[mi.Float]:
     """The point of this number in the sequence that random seeds choose.
 
     Args:
         seeds: 32 random bits for the order, then as many for each coordinate, of which there are up to four.
-        quarters: the order's last two bits are not shuffled: all numbers that are equal modulo 4 lie in one
-            quarter of the first two coordinates, whichever. Only one of several uses may have that.
+        quarters: whether the order's last two bits are such that all numbers that are equal modulo 4 lie in
+            one quarter of the first two coordinates, whichever. Only one of several uses may have that, and
+            only if each sum takes whole groups of four: else sums would have whole quarters for others.
     """
     import mitsuba as mi
 
     order, *scrambles = seeds
     i = dr.brev(_scrambled(dr.brev(number), order))
-    if quarters:
-        # The leading bits are i(1), the sum of all i_k, in the base x + 1, and i_0 in the base x.
-        i &= 0xFFFFFFFC
-        i |= (number & 1) | (((number >> 1) ^ dr.popcnt(i)) & 1) << 1
+    # The leading bits are i(1), the sum of all i_k, in the base x + 1, and i_0 in the base x.
+    group = i & 0xFFFFFFFC
+    last = (number & 1) | (((number >> 1) ^ dr.popcnt(group)) & 1) << 1
+    i = dr.select(quarters, group | last, i)
     digits = (dr.brev(_scrambled(_digits(i, k), seed)) for k, seed in enumerate(scrambles))
     return [mi.Float(digit >> 8) * 2.0**-24 for digit in digits]
 
