@@ -45,10 +45,10 @@ class VarianceComponents:
         self._degenerate = np.zeros((entries(columns),) * 2)
 
     def add(self, h: Array) -> Array:
-        """Add units with products h (pairs k < l, E, units); returns their F̂ (E, units)."""
+        """Add units with products h (pairs k < l, E, units), overwritten here; returns their F̂ (E, units)."""
         K = self._batches
         mean: Array = h.mean(axis=0)
-        d = h - mean
+        d = np.subtract(h, mean, out=h)
         pairs = list(combinations(range(K), 2))
         s = (sum(d_kl for d_kl, pair in zip(d, pairs, strict=True) if k in pair) for k in range(K))
         linear = sum(gram(s_k.T) for s_k in s) / (K - 2)
@@ -167,5 +167,7 @@ def pixel_products(whitened: Array) -> Array:
         for channel in whitened:
             a, b = channel[k], channel[j]
             for i, row in enumerate(rows):
-                row += a[i] * b[i:] + a[i:] * b[i]
-    return 0.5 * products
+                row += a[i] * b[i:]
+                row += a[i:] * b[i]
+    products *= 0.5
+    return products
