@@ -377,12 +377,12 @@ class Measurement:
         module, running = _module(self.method), None
         options = {"prepared": self.prepared, **paths}
         if self.method == "flow":
-            options["pilot"] = module.Pilot.of(self.view, self.mask, self.seed)
+            pilot = module.Pilot.of(self.view, self.mask, self.seed)
+            begin = partial(module.steps, self.view, pilot=pilot, **options)
+        else:
+            begin = partial(_at_once, module.jacobian, self.view, **options)
         for part in subset.tiles(self.mask, self.tile):
-            if self.method == "flow":
-                steps = module.steps(self.view, part, **options)
-            else:
-                steps = _at_once(partial(module.jacobian, self.view, part, **options))
+            steps = begin(part)
             next(steps)
             if running is not None:
                 next(running[1])
@@ -395,10 +395,12 @@ class Measurement:
             yield running[0], next(running[1])
 
 
-def _at_once(call: Callable[[], Any]) -> Iterator[Any]:
-    """A call in the last of four steps."""
+def _at_once(
+    jacobian: Callable[..., Any], view: View, part: NDArray[np.int64], **options: Any
+) -> Iterator[Any]:
+    """A tile's Jacobian in the last of four steps."""
     yield from (None, None, None)
-    yield call()
+    yield jacobian(view, part, **options)
 
 
 @contextlib.contextmanager

@@ -231,7 +231,8 @@ def steps(
     contours = prepared.contours
     beside: Iterator[Any]
     if isinstance(contours, Contours):
-        beside = parallax_steps(view, contours, pixels, pilot.values(pixels), **options)
+        baseline = pilot.values(pixels) if len(contours.piece) else np.empty((len(pixels), 3))
+        beside = parallax_steps(view, contours, pixels, baseline, **options)
     else:
         beside = _differences(view, contours, pixels, **options)
     dr.eval(columns, image)

@@ -365,7 +365,6 @@ def start_pixels(
     with uncollected():
         total = sum_samples(
             view,
-            view.pixel_filter,
             lane_sampler(pixel, batch, seed, purpose),
             centre,
             transform,
@@ -379,7 +378,6 @@ def start_pixels(
 @dr.syntax  # type: ignore[untyped-decorator]
 def sum_samples(
     view: View,
-    pixel_filter: PixelFilter,
     sampler: mi.Sampler,
     centre: mi.Point2f,
     transform: mi.Transform4f,
@@ -389,6 +387,7 @@ def sum_samples(
     """Sum of weighted radiance over each lane's samples; equal kernels for all tiles, seeds and poses."""
     import mitsuba as mi
 
+    pixel_filter = view.pixel_filter
     total = mi.Color3f(0.0)
     i = mi.UInt32(0)
     seeds = [mi.UInt32(0)] * 3
