@@ -6,16 +6,8 @@ For K independent, unbiased estimates J_1 .. J_K of the Jacobian J and a noise p
 
 is unbiased for F = JᵀWJ, where the plain ĴᵀWĴ of the mean Ĵ is too large by E[δJᵀ W δJ]. It is symmetric, but
 positive semi-definite only in expectation. The covariance of its entries (`ustatistic`) is summed over units
-with independent errors: groups of pixels, or the blocks of pixels that share samples. Conventions: `se3`.
-
-For a simple random sample of n of N pixels, F̂ = (N/n) Σ F̂_u and, with f = n/N,
-
-    Cov = N² (1−f)/n s² + (N/n)² [ f V + (1−f) n/(n−1) (V − Σ V_u) ],
-
-s² the sample covariance of the pixels' F̂_u (their noise included), V the Monte Carlo covariance of the sum,
-V_u that of one pixel: V − Σ V_u is what pixels of one block have in common.
-
-Reference: Cochran, "Sampling Techniques", 3rd ed., chapter 2 and section 13.9 (errors of measurement).
+with independent errors: groups of pixels, or the blocks of pixels that share samples; what a random subset
+of the pixels says of the whole image is `sampled`'s. Conventions: `se3`.
 """
 
 from __future__ import annotations
@@ -32,13 +24,13 @@ from . import se3
 from .coupled import CoupledComponents, ordered_products
 from .errors import FrameError, NoiseError, OptionError, PixelsError, RadianceError
 from .noise import CoupledNoise, NoiseModel
+from .sampled import SampledComponents
 from .se3 import Array, Frame
-from .symmetric import congruence, entries, positive_part, symmetrised, unpack
+from .symmetric import congruence, entries, symmetrised, unpack
 from .ustatistic import (
     VarianceComponents,
     gram,
     mean_of_batches,
-    pixel_products,
     square_root,
     unit_grams,
     unit_products,
@@ -58,15 +50,32 @@ _UNIT = 4
 """Side [pixel] of the units whose products are summed where pixels are independent: larger units would say
 less of the variance, single pixels take ten times as long."""
 
-_CHUNK = 4096  # pixels whose products are held at once, about; half as many if each has products of its own
+_CHUNK = 4096  # pixels whose products are held at once, about
 
 
-def places(pixels: NDArray[np.integer], side: int) -> NDArray[np.int64]:
-    """Where pixels (n, 2) stand in an image that is read square by square of so many pixels' side (n,)."""
-    pixels = pixels.astype(np.int64)
-    column, row = (pixels // side).T
-    x, y = (pixels % side).T
-    return np.asarray(((row << 32 | column) * side + y) * side + x)
+def in_squares(pixels: NDArray[np.integer], side: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Pixels (n, 2) square by square of so many pixels' side: first squares of one pixel, then those of two.
+
+    Returns:
+        (n,) Which pixel comes when; (squares + 1,) where each square starts, and n.
+
+    Raises:
+        PixelsError: a pixel comes twice.
+    """
+    pixels = pixels.astype(np.int64, copy=False)
+    square = pixels // side
+    column, row = square.T
+    x, y = (pixels - side * square).T
+    place = ((row << 32 | column) * side + y) * side + x
+    order = np.argsort(place, kind="stable")
+    place = place[order]
+    if np.any(np.diff(place) == 0):
+        raise PixelsError("a pixel was given twice in one call")
+    sizes = np.diff(np.append(np.flatnonzero(np.diff(place // side**2, prepend=-1)), len(pixels)))
+    few = np.minimum(sizes, 3).astype(np.uint8)
+    sorted_sizes = sizes[np.argsort(few, kind="stable")]
+    order = order[np.argsort(np.repeat(few, sizes), kind="stable")]
+    return order, np.concatenate([[0], np.cumsum(sorted_sizes)])
 
 
 @dataclass(frozen=True)
@@ -356,10 +365,8 @@ class InformationAccumulator:
         self._columns = columns
         self._sum = np.zeros(entries(columns))
         self._plain = np.zeros((columns, columns))
-        components = CoupledComponents if coupled else VarianceComponents
+        components = CoupledComponents if coupled else SampledComponents if sampled else VarianceComponents
         self._units = components(batches, columns)
-        self._pixels = VarianceComponents(batches, columns)
-        self._pixel_squares = np.zeros((entries(columns),) * 2)
 
     def add(self, batch_values: ArrayLike, weights: ArrayLike, pixels: ArrayLike) -> None:
         """Add the pixels of some whole blocks.
@@ -391,25 +398,23 @@ class InformationAccumulator:
         in_order = not np.any(np.diff(order) < 0)
         self._count += len(positions)
         self._informative = self._informative or bool(precision.any())
-        chunk = _CHUNK // 2 if self._sampled else _CHUNK
-        cuts = np.unique(np.searchsorted(starts, np.append(np.arange(0, len(order), chunk), len(order))))
+        edges = np.array([0, len(order)])
+        if self._sampled:  # units of one pixel and of two come apart
+            edges = np.insert(edges, 1, starts[np.searchsorted(np.diff(starts), [2, 3])])
+        even = [np.linspace(a, b, -(-(b - a) // _CHUNK), endpoint=False) for a, b in pairwise(edges)]
+        cuts = np.unique(np.searchsorted(starts, np.append(np.concatenate(even), len(order))))
         for low, high in pairwise(cuts):
             part: Any = slice(starts[low], starts[high])
             part = part if in_order else order[part]
             whitened = whiten(values[:, part], root[part])
             own = starts[low : high + 1] - starts[low]
-            if self._sampled:
-                each = pixel_products(whitened)
-                units = np.add.reduceat(each, own[:-1], axis=-1)
-                means = self._pixels.add(each) if self._block > 1 else each.mean(axis=0)
-                self._pixel_squares += gram(means.T)
-                of_all = gram(whitened.reshape(len(whitened), -1, whitened.shape[-1]).mT).sum(axis=0)
+            if isinstance(self._units, SampledComponents):
+                self._sum += self._units.add(whitened, own)
+                self._plain += gram(whitened.mean(axis=1).mT).sum(axis=0)
             else:
                 grams = unit_grams(whitened, own)
-                units = unit_products(grams, self._batches)
-                of_all = grams.sum(axis=0)
-            self._plain += mean_of_batches(of_all, self._batches)
-            self._sum += self._units.add(units).sum(axis=1)
+                self._sum += self._units.add(unit_products(grams, self._batches)).sum(axis=1)
+                self._plain += mean_of_batches(grams.sum(axis=0), self._batches)
 
     def add_coupled(self, batch_values: ArrayLike, noise: CoupledNoise, pixels: ArrayLike) -> None:
         """Add all pixels of an image whose noise is correlated between them: they must come in one call.
@@ -420,8 +425,12 @@ class InformationAccumulator:
             pixels: (n, 2), column x and row y.
 
         Raises:
+            NoiseError: the accumulator was not made for coupled pixels.
             MitsubaCRBError: as `add`, and whatever `noise.solve` raises.
         """
+        components = self._units
+        if not isinstance(components, CoupledComponents):
+            raise NoiseError("noise that couples pixels needs InformationAccumulator(..., coupled=True)")
         values = np.asarray(batch_values, dtype=np.float64)
         positions = np.asarray(pixels)
         self._check(values, positions)
@@ -443,7 +452,7 @@ class InformationAccumulator:
                 )
                 for start, stop in pairwise(starts[low : low + _CHUNK + 1])
             ]
-            self._sum += self._units.add(np.concatenate(units, axis=-1)).sum(axis=1)
+            self._sum += components.add(np.concatenate(units, axis=-1)).sum(axis=1)
 
     def information(
         self, *, frame: Frame, variable: str, pose: ArrayLike, length_scale: float, selection: PixelSelection
@@ -481,47 +490,28 @@ class InformationAccumulator:
                 f"the noise model leaves no information in any of {self._count} pixels: all are saturated or "
                 "ignored; change the exposure, or the variances"
             )
-        factor, covariance = 1.0, self._units.positive
-        if selection.kind == "random" and n < N:
-            factor, covariance = N / n, self._sampled_covariance(n, N)
-        return Sums(factor * unpack(self._sum), covariance, factor * self._plain)
-
-    def _sampled_covariance(self, n: int, N: int) -> Array:
-        if not self._sampled:
+        if selection.kind != "random" or n == N:
+            return Sums(unpack(self._sum), self._units.positive, self._plain)
+        if not isinstance(self._units, SampledComponents):
             raise PixelsError("a random pixel subset needs InformationAccumulator(batches=..., sampled=True)")
         if n < 2:
             raise PixelsError("a random subset of one pixel has no sampling variance; select at least two")
-        f = n / N
-        squares = self._pixel_squares - np.outer(self._sum, self._sum) / n
-        between = N**2 * (1.0 - f) / n * squares / (n - 1)
-        if self._block > 1:
-            common = self._units.unbiased - self._pixels.unbiased
-            metric = squares + self._units.metric + self._pixels.metric
-            between = positive_part(between + (N / n) ** 2 * (1.0 - f) * n / (n - 1) * common, metric)
-        return between + (N / n) ** 2 * f * self._units.positive
+        covariance = self._units.covariance(self._sum, n, N)
+        return Sums(N / n * unpack(self._sum), covariance, N / n * self._plain)
 
     def _order(self, pixels: NDArray[np.integer]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Sort by unit, then by pixel, so that the sums do not depend on the order given.
-
-        Returns:
-            Pixels in order, and where each unit starts, with the end of the last.
-        """
-        side = self._block if self._block > 1 else _UNIT
-        place = places(pixels, side)
-        order = np.argsort(place, kind="stable")
-        place = place[order]
-        if np.any(np.diff(place) == 0):
-            raise PixelsError("a pixel was given twice in one call")
-        block = place // side**2
-        starts = np.flatnonzero(np.diff(block, prepend=-1))
+        """By unit, then by pixel, so that the sums do not depend on the order given: see `in_squares`."""
+        side = self._block if self._block > 1 else 1 if self._sampled else _UNIT
+        order, starts = in_squares(pixels, side)
         if self._block > 1:
-            blocks = set(block[starts].tolist())
+            column, row = pixels[order[starts[:-1]]].T.astype(np.int64) // side
+            blocks = (row << 32 | column).tolist()
             if not self._blocks.isdisjoint(blocks):
                 raise PixelsError(
                     f"a {side} x {side} block came in two calls; use tile sides that are multiples of {side}"
                 )
-            self._blocks |= blocks
-        return order, np.append(starts, len(order))
+            self._blocks.update(blocks)
+        return order, starts
 
     def _check(self, values: Array, pixels: NDArray[Any]) -> None:
         if values.ndim != 4 or values.shape[-1] != self._columns:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from .errors import PixelsError
-from .information import BLOCK, PixelSelection, places
+from .information import BLOCK, PixelSelection, in_squares
 
 
 def everything(size: tuple[int, int]) -> PixelSelection:
@@ -125,31 +125,33 @@ def read_mask(pixels: Any, shape: tuple[int, int]) -> tuple[NDArray[np.bool_], s
 
 def selected(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Columns and rows (n, 2) of a mask's pixels, row by row."""
-    rows, columns = np.nonzero(mask)
-    return np.stack([columns, rows], axis=1).astype(np.int64)
+    rows, columns = np.divmod(np.flatnonzero(mask), mask.shape[1])
+    return np.stack([columns, rows], axis=1).astype(np.int64, copy=False)
 
 
 def tiles(mask: NDArray[np.bool_], tile: int) -> Iterator[NDArray[np.int64]]:
     """The selected pixels (n, 2) of one tile after the other, of several at once where few are selected.
 
     In the order in which flow's information sums them up, block by block, each row by row. Several tiles are
-    up to a quarter of one, so that even a small subset has several parts, of which one can be summed up while
-    the next one's paths are traced.
+    at most a third of what is left, so that a part is summed up while the next one's paths are traced and the
+    last is small; but up to an eighth of a tile, for each part has its price, and no more than a whole one.
     """
     height, width = mask.shape
+    left = int(np.count_nonzero(mask))
     held: list[NDArray[np.int64]] = []
-    for top in range(0, height, tile):
-        for left in range(0, width, tile):
-            pixels = selected(mask[top : top + tile, left : left + tile])
-            if held and 4 * (sum(map(len, held)) + len(pixels)) > tile * tile:
+    for y in range(0, height, tile):
+        for x in range(0, width, tile):
+            pixels = selected(mask[y : y + tile, x : x + tile])
+            count = sum(map(len, held))
+            if held and count + len(pixels) > min(tile * tile, max(tile * tile // 8, left // 3)):
                 yield _by_block(held)
-                held = []
+                held, left = [], left - count
             if len(pixels):
-                held.append(pixels + np.array([left, top]))
+                held.append(pixels + np.array([x, y]))
     if held:
         yield _by_block(held)
 
 
 def _by_block(parts: list[NDArray[np.int64]]) -> NDArray[np.int64]:
     pixels = np.concatenate(parts)
-    return pixels[np.argsort(places(pixels, BLOCK))]
+    return pixels[in_squares(pixels, BLOCK)[0]]

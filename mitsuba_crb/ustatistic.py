@@ -22,6 +22,8 @@ Reference: Hoeffding, "A class of statistics with asymptotically normal distribu
 
 from __future__ import annotations
 
+import copy
+from functools import reduce
 from itertools import combinations
 
 import numpy as np
@@ -46,15 +48,18 @@ class VarianceComponents:
 
     def add(self, h: Array) -> Array:
         """Add units with products h (pairs k < l, E, units), overwritten here; returns their F̂ (E, units)."""
-        K = self._batches
         mean: Array = h.mean(axis=0)
-        d = np.subtract(h, mean, out=h)
-        pairs = list(combinations(range(K), 2))
-        s = (sum(d_kl for d_kl, pair in zip(d, pairs, strict=True) if k in pair) for k in range(K))
-        linear = sum(gram(s_k.T) for s_k in s) / (K - 2)
+        linear, degenerate = _squares(h, mean, self._batches)
         self._linear += linear
-        self._degenerate += sum(gram(d_kl.T) for d_kl in d) - linear
+        self._degenerate += degenerate
         return mean
+
+    def __add__(self, other: VarianceComponents) -> VarianceComponents:
+        """Of all units of both."""
+        total = copy.copy(self)
+        total._linear = self._linear + other._linear
+        total._degenerate = self._degenerate + other._degenerate
+        return total
 
     def _parts(self) -> tuple[Array, Array, Array]:
         """4/K Cov[a], 2/(K(K−1)) Cov[e] and MS_a + MS_e."""
@@ -79,6 +84,30 @@ class VarianceComponents:
     def metric(self) -> Array:
         """(E, E), positive semi-definite, of the covariance's order of magnitude."""
         return self._parts()[2]
+
+
+def _squares(h: Array, mean: Array, batches: int) -> tuple[Array, Array]:
+    """SS_a and SS_e, summed over units; h is overwritten."""
+    if batches == 4:
+        return _squares_of_four(h, mean)
+    d = np.subtract(h, mean, out=h)
+    pairs = list(combinations(range(batches), 2))
+    s = np.stack([d[[i for i, pair in enumerate(pairs) if k in pair]].sum(axis=0) for k in range(batches)])
+    linear = gram(s.mT).sum(axis=0) / (batches - 2)
+    return linear, gram(d.mT).sum(axis=0) - linear
+
+
+def _squares_of_four(h: Array, mean: Array) -> tuple[Array, Array]:
+    """The same for four batches, in half the time.
+
+    Of 12 and 34, of 13 and 24, and of 14 and 23 the difference sees the a alone, the sum the e alone.
+    """
+    others, one = h[:2:-1], h[:3]
+    differences = np.subtract(one, others, out=others)
+    one *= 2.0
+    one -= differences
+    one -= 2.0 * mean
+    return 0.5 * gram(differences.mT).sum(axis=0), 0.5 * gram(one.mT).sum(axis=0)
 
 
 def square_root(weights: Array) -> Array:
@@ -114,13 +143,15 @@ def whiten(values: Array, root: Array) -> Array:
     return np.stack([sum(map(np.multiply, row, columns)) for row in root.transpose(1, 2, 0)])
 
 
-def gram(rows: Array) -> Array:
-    """Aᵀ A of A (..., r, c)."""
+def gram(rows: Array, others: Array | None = None) -> Array:
+    """Aᵀ A of A (..., r, c), or Aᵀ B with a B of the same shape."""
     *lead, r, c = rows.shape
     whole = r // _ROWS * _ROWS
-    stack = rows[..., :whole, :].reshape(*lead, -1, _ROWS, c)
-    rest = rows[..., whole:, :]
-    return np.asarray((stack.mT @ stack).sum(axis=-3) + rest.mT @ rest, dtype=np.float64)
+    (stack, rest), (other_stack, other_rest) = (
+        (matrix[..., :whole, :].reshape(*lead, -1, _ROWS, c), matrix[..., whole:, :])
+        for matrix in (rows, rows if others is None else others)
+    )
+    return np.asarray((stack.mT @ other_stack).sum(axis=-3) + rest.mT @ other_rest, dtype=np.float64)
 
 
 def unit_grams(whitened: Array, starts: NDArray[np.intp]) -> Array:
@@ -158,16 +189,39 @@ def mean_of_batches(gram_of_all: Array, batches: int) -> Array:
     return np.asarray(gram_of_all.reshape(batches, P, batches, P).sum(axis=(0, 2)) / batches**2)
 
 
-def pixel_products(whitened: Array) -> Array:
-    """As `unit_products`, of units of one pixel each: long sums over pixels, not many small matrices."""
+def pixel_products(whitened: Array, out: Array | None = None) -> Array:
+    """As `unit_products`, of units of one pixel each: long sums over pixels, not many small matrices.
+
+    Args:
+        whitened: (C, K, P, n), from `whiten`.
+        out: where the result goes, (pairs, E, at least n): fresh memory costs as much as the products.
+    """
     _, K, P, n = whitened.shape
-    products = np.zeros((K * (K - 1) // 2, entries(P), n))
+    products = np.empty((K * (K - 1) // 2, entries(P), n)) if out is None else out[..., :n]
+    halves = 0.5 * whitened[:, :-1]
     for product, (k, j) in zip(products, combinations(range(K), 2), strict=True):
-        rows = np.split(product, np.cumsum(np.arange(P, 1, -1)))
-        for channel in whitened:
-            a, b = channel[k], channel[j]
-            for i, row in enumerate(rows):
-                row += a[i] * b[i:]
-                row += a[i:] * b[i]
-    products *= 0.5
+        a, b = halves[:, k], whitened[:, j]
+        end = 0
+        for i in range(P):
+            row, end = product[end : end + P - i], end + P - i
+            np.einsum("cn,cqn->qn", a[:, i], b[:, i:], out=row)
+            row += np.einsum("cqn,cn->qn", a[:, i:], b[:, i])
     return products
+
+
+def disjoint_products(products: Array, batches: int) -> Array:
+    """Σ F_u F_uᵀ over units without bias, (E, E): the mean of h_kl h_mnᵀ over pairs without a common batch.
+
+    Args:
+        products: h_kl of every unit, (pairs k < l, E, units), from `pixel_products`.
+        batches: K ≥ 4.
+    """
+    pairs = list(combinations(range(batches), 2))
+    total = np.zeros((products.shape[1],) * 2)
+    count = 0
+    for i, pair in enumerate(pairs):
+        others = [products[j] for j in range(i) if not set(pair) & set(pairs[j])]
+        if others:
+            total += gram(products[i].T, reduce(np.add, others).T)
+            count += len(others)
+    return symmetrised(total / count)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from itertools import permutations
+from itertools import combinations, pairwise, permutations
 
 import numpy as np
 import pytest
@@ -22,9 +22,17 @@ from mitsuba_crb.information import (
     InformationAccumulator,
     PixelSelection,
     fisher_information,
+    in_squares,
 )
 from mitsuba_crb.symmetric import congruence, pack, positive_part, unpack
-from mitsuba_crb.ustatistic import pixel_products, unit_grams, unit_products
+from mitsuba_crb.ustatistic import (
+    VarianceComponents,
+    disjoint_products,
+    pixel_products,
+    unit_grams,
+    unit_products,
+    whiten,
+)
 
 POSE = se3.exp([1.0, -2.0, 0.5, 0.4, -0.3, 0.8])
 FAR = np.array([[1.0, 0, 0, 1e4], [0, 1, 0, -7e3], [0, 0, 1, 2e3], [0, 0, 0, 1]]) @ POSE
@@ -359,6 +367,33 @@ class TestRandomSubset:
             )
             monte_carlo.append((N / n) ** 2 * np.diagonal(only.covariance_of_entries))
         assert np.min(np.mean(monte_carlo, axis=0) / sample) < 0.5
+
+    @pytest.mark.parametrize("batches", [4, 5])
+    @pytest.mark.parametrize(("block", "share"), [(BLOCK, 0.03), (BLOCK, 0.4), (1, 0.3)])
+    def test_covariance_is_cochrans_with_the_noise_of_pixels_and_blocks(self, batches, block, share):
+        """N²(1−f)/n s² + (N/n)² [f V + (1−f) n/(n−1) (V − ΣV_u)], s² of F̂_u, noise included (13.9)."""
+        sim = Simulation(64, 64, batches=batches, common=0.3, noise=0.3)
+        N, n = 4096, int(4096 * share)
+        f = n / N
+        index = np.random.default_rng(4).choice(N, n, replace=False)
+        values, weights = sim.draw()[:, index], sim.weights[index]
+        accumulator = InformationAccumulator(batches=batches, block=block, sampled=True)
+        accumulator.add(values, weights, sim.pixels[index])
+        sums = accumulator.sums(_selection("random", N, n))
+        of_pixel = [_enumerated_covariance(values, weights, [slice(i, i + 1)]) for i in range(n)]
+        groups = [sim.block[index] == b for b in np.unique(sim.block[index])] if block > 1 else None
+        V_u = np.sum(of_pixel, axis=0)
+        V = V_u if groups is None else _enumerated_covariance(values, weights, groups)
+        each = pixel_products(whiten(values, np.sqrt(weights))).mean(axis=0)
+        s2 = np.cov(each)
+        between = N**2 * (1 - f) / n * s2 + (N / n) ** 2 * (1 - f) * n / (n - 1) * (V - V_u)
+        expected = between + (N / n) ** 2 * f * V
+        # Close, not equal: what is negative by chance is made positive, which keeps the diagonal.
+        np.testing.assert_allclose(np.diagonal(sums.covariance_of_entries), np.diagonal(expected), rtol=1e-6)
+        d = np.sqrt(np.diagonal(expected))
+        np.testing.assert_allclose(
+            sums.covariance_of_entries / np.outer(d, d), expected / np.outer(d, d), atol=0.05
+        )
 
     def test_all_pixels_at_random_are_all_pixels(self):
         sim = Simulation(16, 16)
@@ -705,3 +740,38 @@ def test_products_of_single_pixels_are_those_of_units_of_one() -> None:
     whitened = np.random.default_rng(3).normal(size=(3, 5, 7, 50))
     expected = unit_products(unit_grams(whitened, np.arange(51)), whitened.shape[1])
     assert pixel_products(whitened) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("batches", [4, 5, 6])
+def test_disjoint_pairs_are_enumerated(batches: int) -> None:
+    h = np.random.default_rng(5).normal(size=(batches * (batches - 1) // 2, 21, 7))
+    number = {pair: i for i, pair in enumerate(combinations(range(batches), 2))}
+    every = [
+        np.einsum("eu,fu->ef", h[number[tuple(sorted(p[:2]))]], h[number[tuple(sorted(p[2:]))]])
+        for p in permutations(range(batches), 4)
+    ]
+    np.testing.assert_allclose(disjoint_products(h, batches), np.mean(every, axis=0), atol=1e-12)
+
+
+def test_sums_of_squares_of_two_sets_of_units_add_up() -> None:
+    h = np.random.default_rng(6).normal(size=(6, 21, 300))
+    parts = [VarianceComponents(4) for _ in range(3)]
+    for components, own in zip(parts, (slice(None), slice(100), slice(100, None)), strict=True):
+        components.add(h[..., own].copy())
+    whole, first, second = parts
+    np.testing.assert_allclose((first + second).positive, whole.positive, rtol=1e-9, atol=1e-9)
+
+
+def test_squares_come_by_their_number_of_pixels() -> None:
+    """Those of one pixel, those of two, then all others, each of them whole and row by row."""
+    pixels = _grid(64, 64)[np.random.default_rng(7).permutation(4096)[:200]]
+    order, starts = in_squares(pixels, 8)
+    sizes = np.diff(starts)
+    assert np.array_equal(np.sort(order), np.arange(200))
+    assert np.all(np.diff(np.minimum(sizes, 3)) >= 0)
+    assert set(np.minimum(sizes, 3)) == {1, 2, 3}
+    squares = [{tuple(p) for p in pixels[order[a:b]] // 8} for a, b in pairwise(starts)]
+    assert all(len(square) == 1 for square in squares)
+    assert len(set.union(*squares)) == len(squares)
+    with pytest.raises(PixelsError, match="twice"):
+        in_squares(np.array([[3, 4], [3, 4]]), 8)

@@ -15,6 +15,7 @@ from small_scenes import T, camera, scene, texture, textured_wall, wall
 
 from mitsuba_crb import cramer_rao_bound, fisher_information, pose_bound, pose_jacobian, se3
 from mitsuba_crb.errors import NoiseError, OptionError, PixelsError, RadianceError
+from mitsuba_crb.information import BLOCK
 from mitsuba_crb.jacobian.pixels import render_pixels
 from mitsuba_crb.lint import precision_findings
 from mitsuba_crb.noise import (
@@ -27,6 +28,7 @@ from mitsuba_crb.noise import (
     Sensor,
 )
 from mitsuba_crb.scene import open_view
+from mitsuba_crb.subset import tiles
 
 # Few samples on small images: that standard errors exceed 10 % is expected.
 pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")
@@ -342,3 +344,22 @@ def test_a_saturated_image_is_refused() -> None:
     camera = Sensor(Heteroscedastic((1e-6, 1e-6)), "before", exposure=1e4, quantisation=Quantisation(256))
     with pytest.raises(NoiseError, match="all are saturated or ignored"):
         pose_bound(textured_wall(), camera, **FAST)
+
+
+@pytest.mark.parametrize("share", [0.002, 0.02, 0.3, 1.0])
+def test_parts_hold_every_selected_pixel_once_in_whole_blocks(share: float) -> None:
+    tile = 64
+    mask = np.random.default_rng(1).random((500, 300)) < share
+    parts = list(tiles(mask, tile))
+    together = np.concatenate(parts)
+    found = np.zeros_like(mask)
+    found[together[:, 1], together[:, 0]] = True
+    assert len(together) == np.count_nonzero(mask)
+    assert np.array_equal(found, mask)
+    blocks = [set(map(tuple, part // BLOCK)) for part in parts]
+    assert sum(map(len, blocks)) == len(set.union(*blocks))
+    sizes = [len(part) for part in parts]
+    if share < 0.1:  # several parts, the last of which is small
+        assert max(sizes) <= max(tile**2 // 8, len(together) // 3)
+        assert sizes[-1] <= tile**2 // 8 + tile
+    assert max(sizes) <= tile**2

@@ -16,7 +16,7 @@ import os, time
 from mitsuba_crb.processes import each
 
 def work(seconds):
-    print(os.getpid(), flush=True)
+    os.write(1, f"{os.getpid()}\\n".encode())  # at once, whatever the other one writes
     time.sleep(seconds)
 
 if __name__ == "__main__":
