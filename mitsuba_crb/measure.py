@@ -15,7 +15,7 @@ import importlib.metadata
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from types import ModuleType
 from typing import Any, TypedDict, Unpack
 
@@ -222,13 +222,16 @@ class Measurement:
     """Parameters that are not known beside the pose."""
     step: dict[str, Any]
     """What the method's `prepare` takes beside the view."""
-    prepared: Any
-    """What the method's `prepare` returned."""
     length_scale: float
     mask: NDArray[np.bool_]
     """(H, W), the pixels to measure."""
     selection: PixelSelection
     """What they stand for."""
+
+    @cached_property
+    def prepared(self) -> Any:
+        """What the method's `prepare` returned."""
+        return _module(self.method).prepare(self.view, **self.step)
 
     @property
     def block(self) -> int:
@@ -262,9 +265,12 @@ class Measurement:
         """The noise model and where it came from."""
         if model is not None:
             return as_noise_model(model), "given"
-        from .jacobian.pixels import coarse_grid
+        from .jacobian.pixels import PILOT, coarse_grid, download, start_pixels
 
-        pilot = _pilot(self.view, coarse_grid(self.view.size, _PILOT_GRID).reshape(-1, 2), self.seed)
+        grid = coarse_grid(self.view.size, _PILOT_GRID).reshape(-1, 2)
+        total = start_pixels(self.view, grid, spp=_PILOT_SPP, seed=self.seed, purpose=PILOT)
+        _ = self.prepared  # while these paths are traced
+        pilot = download(total) / _PILOT_SPP
         finite = pilot[np.isfinite(pilot)]
         white = float(np.percentile(finite, 99.0)) if finite.size else 0.0
         if not white > 0.0:
@@ -297,9 +303,8 @@ class Measurement:
                 )
 
     def at(self, pose: NDArray[np.float64]) -> Measurement:
-        """The same measurement of the view from another pose (4, 4), prepared there."""
-        view = dataclasses.replace(self.view, pose=pose)
-        return dataclasses.replace(self, view=view, prepared=_module(self.method).prepare(view, **self.step))
+        """The same measurement of the view from another pose (4, 4)."""
+        return dataclasses.replace(self, view=dataclasses.replace(self.view, pose=pose))
 
     def jacobian(self) -> ImageJacobian:
         """The Jacobian of every selected pixel, held at once, row by row."""
@@ -422,12 +427,10 @@ def measurement(
     step_pixels: float = STEP_PIXELS,
     nuisances: Sequence[str] = (),
 ) -> Iterator[Measurement]:
-    """A view, opened and prepared, as `MeasurementOptions` and `pose_bound` say; unchanged afterwards."""
+    """A view, opened as `MeasurementOptions` and `pose_bound` say; unchanged afterwards."""
     _check_options(method, spp, seed, batches, tile)
     with open_view(scene, sensor=sensor, pose=pose, integrator=integrator, size=size) as view:
-        from .jacobian.pixels import visible_depth
-
-        visible = visible_depth(view)
+        visible = view.visible_depth
         mask, selection = subset.choose(pixels, view.size, seed, lambda: _pilot_image(view, seed, tile))
         unknown = open_nuisances(view, nuisances, method)
         step: dict[str, Any] = {"step_pixels": step_pixels} if method == "finite_difference" else {}
@@ -445,7 +448,6 @@ def measurement(
             on_tile=on_tile,
             nuisances=unknown,
             step=step,
-            prepared=_module(method).prepare(view, **step),
             length_scale=float(np.median(visible)) if visible.size else 1.0,
             mask=mask,
             selection=selection,

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
     from .jacobian.pixels import PixelFilter
+    from .jacobian.recorded import Recorder
 
 VARIANT = "llvm_ad_rgb"
 SENSORS = {"PerspectiveCamera": "perspective", "ThinLensCamera": "thinlens"}
@@ -136,6 +137,8 @@ class View:
     """The camera's name: the sensor's id, or its index."""
     label: str
     """The scene's file, or what kind of object it came from."""
+    recorder: Recorder
+    """Of the scene's kernels."""
 
     @property
     def focal_pixels(self) -> float:
@@ -154,10 +157,41 @@ class View:
 
         return PixelFilter.of(self.sensor.film().rfilter())
 
+    @functools.cached_property
+    def settings(self) -> tuple[tuple[str, str], ...] | None:
+        """Names and values of what may change in the scene and is no array, and tells which sensor this is.
+
+        None if objects of the scene are written in Python, which may hold whatever they like.
+        """
+        import drjit as dr
+        import mitsuba as mi
+
+        if any(type(node).__module__ != "mitsuba" for node in contents(self.scene)):
+            return None
+        found = [("sensor", str(self.sensor.ptr)), ("bounds", repr(self.scene.bbox()))]
+        for name, value in mi.traverse(self.scene):
+            if dr.is_tensor_v(value):
+                found.append((name, repr(value.shape)))
+            elif not dr.is_jit_v(value) and not dr.is_jit_v(getattr(value, "matrix", value)):
+                found.append((name, repr(value)))
+        return tuple(found)
+
+    @functools.cached_property
+    def visible_depth(self) -> NDArray[np.float64]:
+        """Finite depths along the optical axis through a coarse grid of pixels [scene unit]."""
+        from .jacobian.pixels import coarse_grid, first_hits
+
+        _, depth = first_hits(self, coarse_grid(self.size, 96).reshape(-1, 2))
+        return depth[np.isfinite(depth) & (depth > 0)]
+
     @property
     def near_clip(self) -> float:
         """Distance of the near plane [scene unit]."""
         return float(self.sensor.near_clip())
+
+
+_kept: list[tuple[mi.Scene, Recorder]] = []
+"""The last scene that was given as such."""
 
 
 @contextlib.contextmanager
@@ -171,6 +205,8 @@ def open_view(
 ) -> Iterator[View]:
     """Load what is not loaded, check it, and lend it as a `View`; restores the sensor afterwards.
 
+    An `mi.Scene` is kept, with its kernels, until another one is opened.
+
     Args:
         scene: path of an XML file, a dictionary for `mi.load_dict`, or an `mi.Scene`.
         sensor: index in the file's order, or id.
@@ -181,9 +217,16 @@ def open_view(
     Raises:
         SceneError, SensorError, FilmError, IntegratorError, PoseError, OptionError, VariantError, LLVMError.
     """
+    if _kept and _kept[0][0] is not scene:
+        _kept.clear()
     loaded, label = as_scene(scene)
     import mitsuba as mi
 
+    from .jacobian.recorded import Recorder
+
+    recorder = _kept[0][1] if _kept else Recorder()
+    if loaded is scene:
+        _kept[:] = [(loaded, recorder)]
     camera, variable = _find_sensor(loaded, sensor)
     _check_film(camera.film())
     params = mi.traverse(camera)
@@ -201,7 +244,8 @@ def open_view(
         params["to_world"] = mi.Transform4f()
         params.update()
         width, height = camera.film().crop_size()
-        yield View(loaded, camera, radiance, world_from_camera, (int(width), int(height)), variable, label)
+        size = int(width), int(height)
+        yield View(loaded, camera, radiance, world_from_camera, size, variable, label, recorder)
     finally:
         # A new film size resets the crop window, so the window goes back in a second update.
         params["film.size"] = before["film.size"]
@@ -224,6 +268,26 @@ def as_scene(scene: Any) -> tuple[mi.Scene, str]:
         if shape.is_mesh() and not shape.face_count():
             raise SceneError(f"mesh {shape.id()} has no faces, which Mitsuba cannot trace; remove it")
     return loaded, label
+
+
+def contents(root: mi.Object) -> list[mi.Object]:
+    """A Mitsuba object and all it contains."""
+    import mitsuba as mi
+
+    found: dict[int, mi.Object] = {}
+
+    class Collector(mi.TraversalCallback):  # type: ignore[misc]  # Mitsuba is untyped here
+        def put(self, _name: str, value: Any, *_flags: Any) -> None:
+            if isinstance(value, mi.Object):
+                visit(value)
+
+    def visit(node: mi.Object) -> None:
+        if node.ptr not in found:
+            found[node.ptr] = node
+            node.traverse(Collector())
+
+    visit(root)
+    return list(found.values())
 
 
 def _loaded(scene: Any) -> tuple[mi.Scene, str]:

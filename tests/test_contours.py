@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mitsuba as mi
 import numpy as np
@@ -254,12 +254,22 @@ def parallax_term(
     return terms
 
 
+class Given(NamedTuple):
+    """Baselines of lanes in the place of a `flow.Pilot`."""
+
+    arrays: list[Any]
+
+    @staticmethod
+    def baseline(arrays: list[Any], _lanes: Any) -> Any:
+        return arrays[0]
+
+
 def without_contours(
     view: View, prepared: flow.Prepared, pixels: np.ndarray, baseline: np.ndarray, **options: int
 ) -> np.ndarray:
     """Filter and view terms (batches, n, 3, 6)."""
-    of_lanes = mi.Color3f(np.tile(baseline, (options["batches"], 1)).T)
-    columns, image = flow.filter_and_view_terms(view, prepared, pixels, of_lanes, **options)
+    given = Given([mi.Color3f(np.tile(baseline, (options["batches"], 1)).T)])
+    columns, image = flow.filter_and_view_terms(view, prepared, pixels, given, **options)()
     return flow.as_arrays([*columns, image], options["batches"])[0]
 
 

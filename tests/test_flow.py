@@ -24,11 +24,12 @@ from mitsuba_crb.errors import FilmError, PrecisionWarning
 from mitsuba_crb.jacobian import flow, paths
 from mitsuba_crb.jacobian.pairs import PairSample, filter_pairs
 from mitsuba_crb.jacobian.pixels import (
+    Lanes,
     camera_ray,
     lane_sampler,
-    lanes,
     move_ray,
     opaque_transform,
+    seeding,
 )
 from mitsuba_crb.jacobian.view_term import ViewTerm, _turn_of_lobes
 from mitsuba_crb.noise import Gaussian
@@ -254,12 +255,15 @@ def test_the_path_tracer_is_mitsubas_path(integrator: dict[str, Any]) -> None:
     """The same radiance from the same random numbers, to rounding."""
     which = scene(wall=wall(texture()), ball=GLASS) | {"integrator": integrator}
     with open_view(which) as view:
-        pixel, batch, centre = lanes(view, all_pixels(view), 8)
-        ray, _ = camera_ray(view, centre, mi.Point2f(0.5, 0.5))
+        lanes = Lanes.of(view, all_pixels(view), 8)
+        ray, _ = camera_ray(view, lanes.centre, mi.Point2f(0.5, 0.5))
         world = move_ray(ray, opaque_transform(view.pose))
         tracers = paths.tracer(view), paths.IntegratorTracer()
         ours, mitsubas = (
-            np.array(t.trace(view, lane_sampler(pixel, batch, 3), world).light, dtype=np.float64)
+            np.array(
+                t.trace(view, lane_sampler(lanes.pixel, lanes.batch, seeding(3)), world).light,
+                dtype=np.float64,
+            )
             for t in tracers
         )
     assert isinstance(tracers[0], paths.PathTracer)

@@ -12,10 +12,13 @@ from small_scenes import camera, scene, textured_wall
 
 from mitsuba_crb.information import BLOCK
 from mitsuba_crb.jacobian.pixels import (
+    EVEN,
     EvenNumbers,
+    Lanes,
     OffsetTable,
     first_hits,
     render_pixels,
+    seeding,
 )
 from mitsuba_crb.jacobian.sobol import sobol_point
 from mitsuba_crb.scene import View, open_view
@@ -121,7 +124,7 @@ def test_streams_of_pixels_batches_and_seeds_are_uncorrelated() -> None:
 
     pixel = dr.arange(mi.UInt32, 4096)
     draws = [
-        np.array(lane_sampler(pixel, dr.full(mi.UInt32, batch, 4096), seed, purpose).next_1d())
+        np.array(lane_sampler(pixel, dr.full(mi.UInt32, batch, 4096), seeding(seed, purpose)).next_1d())
         for batch in (0, 1)
         for seed in (0, 1, 1 << 40)
         for purpose in (0, 1)
@@ -145,7 +148,7 @@ def test_the_pixels_of_a_block_share_out_random_numbers_evenly() -> None:
     """Orders are permutations that keep neighbours together; a block's uniform numbers are even."""
     batches, count = 16, BLOCK * BLOCK
     with open_view(textured_wall(sensor=camera(4 * BLOCK, 4 * BLOCK))) as view:
-        even = EvenNumbers.of(view, _grid(view), batches, 5, (4, 4))
+        even = EvenNumbers.of(Lanes.of(view, _grid(view), batches), seeding(5, EVEN), (4, 4))
         x, *_ = np.array(sobol_point(even.rank, even.seeds[1]), dtype=np.float64)
     by_block = (batches, 4, BLOCK, 4, BLOCK)
     ranks, x = (

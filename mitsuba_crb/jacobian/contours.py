@@ -31,15 +31,14 @@ from scipy.sparse import csr_array
 from ..information import BLOCK
 from .pixels import (
     download,
+    known_integrator,
     lane_sampler,
-    move_ray,
-    opaque_transform,
     radiance,
-    uncollected,
+    seeding,
     upload,
     widened,
 )
-from .silhouettes import ASIDE, Contours, find_contours
+from .silhouettes import Contours, Sides, find_contours, look
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -87,9 +86,8 @@ def parallax_steps(
         from batch to batch and from block to block [radiance / scene unit, radiance / rad].
     """
     of_pixel = pixels[:, 1] // BLOCK * contours.columns + pixels[:, 0] // BLOCK
-    blocks = np.unique(of_pixel)
+    blocks = np.unique(of_pixel[contours.samples[of_pixel] > 0.0])
     count = np.ceil(contours.samples[blocks] * (spp / batches)).astype(np.int64)
-    blocks, count = blocks[count > 0], count[count > 0]
     chunk = np.cumsum(count * batches) // _CHUNK
     rows, terms = [np.empty(0, dtype=np.int64)], [np.empty((batches, 0, 3, 6))]
     last = chunk[-1] if len(chunk) else 0
@@ -165,12 +163,9 @@ def _block_steps(
         yield from (None, None)
         yield kept, np.empty((batches, 0, 3, 6))
         return
-    with uncollected():
-        sides = contours.look(placed, samples.aperture)
-        outside = _radiance(view, contours, placed, samples, blocks, seed, sides.jump > 0.0)
-        dr.eval(sides, outside)
+    sides, outside = _look(view, contours, placed, samples, blocks, seed)
     yield
-    sides, outside = sides.fetched(), [np.asarray(channel) for channel in outside]
+    sides, outside = Sides(*map(np.asarray, sides)), [np.asarray(channel) for channel in outside]
     yield
 
     # Which show.
@@ -282,20 +277,28 @@ def _footprint(
     return rows.reshape(-1, width**2), pixel + 0.5 - film[:, None]
 
 
-def _radiance(
-    view: View,
-    contours: Contours,
-    placed: Placed,
-    samples: _Samples,
-    blocks: Ints,
-    seed: int,
-    active: mi.Bool,
-) -> mi.Color3f:
-    """L_bg of each sample, one path each, to be evaluated; a lone sample's twice."""
+def _look(
+    view: View, contours: Contours, placed: Placed, samples: _Samples, blocks: Ints, seed: int
+) -> tuple[tuple[Any, ...], mi.Color3f]:
+    """What rays just beside each sample see (`Sides`), and L_bg, one path each; a lone sample's twice.
+
+    Evaluated in the background.
+    """
     import mitsuba as mi
 
-    block, number = (upload(mi.UInt32, widened(x)) for x in (blocks[samples.owner], samples.number))
-    ray, importance = contours.ray(placed.film - ASIDE * placed.normal, samples.aperture)
-    sampler = lane_sampler(block, number, seed, PATHS)
-    light = radiance(view, sampler, move_ray(ray, opaque_transform(contours.pose)), active)
-    return dr.select(active, importance * light, 0.0)
+    arrays = contours.beside(placed, samples.aperture) | {
+        "block": upload(mi.UInt32, widened(blocks[samples.owner])),
+        "number": upload(mi.UInt32, widened(samples.number)),
+        "seeds": seeding(seed, PATHS),
+    }
+
+    def body(arrays: dict[str, Any]) -> tuple[tuple[Any, ...], mi.Color3f]:
+        sides, ray, importance = look(view, arrays)
+        active = sides.jump > 0.0
+        sampler = lane_sampler(arrays["block"], arrays["number"], arrays["seeds"])
+        light = radiance(view, sampler, ray, active)
+        return tuple(sides), dr.select(active, importance * light, 0.0)
+
+    known = known_integrator(view.integrator)
+    sides, light = view.recorder.ready("contours", body, view, arrays, known)()
+    return sides, light

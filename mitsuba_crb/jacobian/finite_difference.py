@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
-from .pixels import render_pixels, visible_depth
+from .pixels import render_pixels
 
 if TYPE_CHECKING:
     from ..scene import View
@@ -46,7 +46,7 @@ def prepare(view: View, step_pixels: float = STEP_PIXELS, even: bool = False) ->
     focal = view.focal_pixels
     radius = float(np.hypot(*view.size)) / np.sqrt(12.0)
     angle = step_pixels / np.array([focal, focal, max(radius, 1.0)])
-    depth = visible_depth(view)
+    depth = view.visible_depth
     near, median = np.percentile(depth, [NEAR_PERCENTILE, 50.0]) if depth.size else (1.0, 1.0)
     shift = np.minimum(angle * near, 0.05 * median)
     return Prepared(np.concatenate([shift, angle]), even)

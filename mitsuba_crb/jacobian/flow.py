@@ -24,7 +24,7 @@ Source: design section 4.1; Zhang et al. 2020, Path-Space Differentiable Renderi
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -40,24 +40,26 @@ from .film import FilmFlow, FilmMap
 from .pairs import BoxPairs, PairSample, SmoothPairs, filter_pairs
 from .paths import IntegratorTracer, PathTracer, tracer
 from .pixels import (
+    EVEN,
     PILOT,
     EvenNumbers,
+    Lanes,
     camera_ray,
     download,
     lane_sampler,
-    lanes,
     move_ray,
     opaque_transform,
     resumed,
+    seeding,
     start_pixels,
-    uncollected,
     upload,
 )
+from .recorded import join, split
 from .sobol import sobol_point
 from .view_term import ViewTerm
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     import mitsuba as mi
 
@@ -78,7 +80,7 @@ it so little to do that more would cost more than they save."""
 class Pilot:
     """Ī_u in cells of the film, by paths of their own; a pixel's is the same whoever else is asked for."""
 
-    place: NDArray[np.int64]
+    place: NDArray[np.int32]
     """(rows, columns) of each cell among those that hold pixels."""
     total: mi.Color3f
     """Sums over their paths, traced in the background."""
@@ -86,35 +88,41 @@ class Pilot:
     @staticmethod
     def of(view: View, mask: NDArray[np.bool_], seed: int) -> Pilot:
         """For the pixels of a mask (H, W)."""
-        rows, columns = (-(-n // PILOT_CELL) for n in mask.shape)
-        whole = np.zeros((rows * PILOT_CELL, columns * PILOT_CELL), dtype=bool)
-        whole[: mask.shape[0], : mask.shape[1]] = mask
-        banded = np.any(whole.reshape(rows, PILOT_CELL, -1), axis=1)
-        held = np.asarray(np.any(banded.reshape(rows, columns, -1), axis=2))
+        missing = [(0, -n % PILOT_CELL) for n in mask.shape]
+        whole = np.pad(mask, missing) if np.any(missing) else mask
+        rows = functools.reduce(np.logical_or, [whole[i::PILOT_CELL] for i in range(PILOT_CELL)])
+        held = functools.reduce(np.logical_or, [rows[:, i::PILOT_CELL] for i in range(PILOT_CELL)])
         probed = PILOT_CELL * selected(held)
-        place = (np.cumsum(held) - 1).reshape(held.shape)
+        place = (np.cumsum(held, dtype=np.int32) - 1).reshape(held.shape)
         return Pilot(place, start_pixels(view, probed, spp=PILOT_SPP, seed=seed, purpose=PILOT))
 
-    def at(self, pixels: NDArray[np.int64], batches: int) -> mi.Color3f:
+    @functools.cached_property
+    def arrays(self) -> tuple[mi.UInt32, mi.UInt32, mi.Color3f]:
+        """What `baseline` reads."""
+        import mitsuba as mi
+
+        place = upload(mi.UInt32, self.place.ravel())
+        return place, dr.opaque(mi.UInt32, self.place.shape[1]), self.total
+
+    @staticmethod
+    def baseline(arrays: tuple[mi.UInt32, mi.UInt32, mi.Color3f], lanes: Lanes) -> mi.Color3f:
         """Ī_u of the lanes of some of the pixels, finite whatever the radiance."""
         import mitsuba as mi
 
-        index = upload(mi.UInt32, np.tile(self._places(pixels), batches))
-        image = dr.gather(mi.Color3f, self.total, index) / PILOT_SPP
+        place, columns, total = arrays
+        cell = lanes.row // PILOT_CELL * columns + lanes.column // PILOT_CELL
+        image = dr.gather(mi.Color3f, total, dr.gather(mi.UInt32, place, cell)) / PILOT_SPP
         return mi.Color3f(*(dr.select(dr.isfinite(channel), channel, 0.0) for channel in image))
 
     def values(self, pixels: NDArray[np.int64]) -> NDArray[np.float64]:
         """Ī_u of some of the pixels (n, 3)."""
-        return self._image[self._places(pixels)]
+        column, row = (pixels // PILOT_CELL).T
+        return np.asarray(self._image[self.place[row, column]])
 
     @functools.cached_property
     def _image(self) -> NDArray[np.float64]:
         image = download(self.total).T / PILOT_SPP
         return np.where(np.isfinite(image), image, 0.0)
-
-    def _places(self, pixels: NDArray[np.int64]) -> NDArray[np.int64]:
-        column, row = (pixels // PILOT_CELL).T
-        return np.asarray(self.place[row, column])
 
 
 @dataclass(frozen=True)
@@ -158,10 +166,12 @@ def prepare(view: View, film_flows: tuple[FilmFlow, ...] = ()) -> Prepared:
             "a thin lens among participating media or radiance fields shows method 'flow' no surface points "
             "to follow: use method finite_difference, or a perspective sensor"
         )
+    # First, because the others wait for what runs in the background.
+    contours = finite_difference.prepare(view) if volumes else find_contours(view)
     return Prepared(
         filter_pairs(view.pixel_filter),
         None if volumes else ViewTerm.of(view, camera_paths),
-        finite_difference.prepare(view) if volumes else find_contours(view),
+        contours,
         camera_paths,
         opaque_transform(view.pose),
         mi.Vector2f(*(dr.opaque(mi.Float, float(value)) for value in FilmMap.of(view).focal)),
@@ -226,7 +236,7 @@ def steps(
     the fourth sums up. So one tile can be readied, and the one before summed up, while paths are traced.
     """
     options = {"spp": spp, "seed": seed, "batches": batches}
-    columns, image = filter_and_view_terms(view, prepared, pixels, pilot.at(pixels, batches), **options)
+    start = filter_and_view_terms(view, prepared, pixels, pilot, **options)
     yield
     contours = prepared.contours
     beside: Iterator[Any]
@@ -235,7 +245,7 @@ def steps(
         beside = parallax_steps(view, contours, pixels, baseline, **options)
     else:
         beside = _differences(view, contours, pixels, **options)
-    dr.eval(columns, image)
+    columns, image = start()
     next(beside)
     yield
     # Shares Dr.Jit's memory, but to look there later would be to wait for the next tile's paths.
@@ -273,41 +283,71 @@ def filter_and_view_terms(
     view: View,
     prepared: Prepared,
     pixels: NDArray[np.int64],
-    baseline: mi.Color3f,
+    pilot: Pilot,
     *,
     spp: int,
     seed: int,
     batches: int,
-) -> tuple[list[mi.Color3f], mi.Color3f]:
-    """The columns and the image of each lane, to be evaluated; without the contours' part.
+) -> Callable[[], tuple[list[mi.Color3f], mi.Color3f]]:
+    """What starts the paths of some pixels in the background, without the contours' part.
 
-    Args:
-        baseline: Ī_u of each lane, any constants near the image that do not come from these random numbers.
+    Returns:
+        A function that gives the columns and the image of each lane.
     """
     import mitsuba as mi
 
     pairs = prepared.pairs
-    pixel, batch, centre = lanes(view, pixels, batches)
     number = max(1, spp // batches // 2)
     # Fewer pairs than kinds: which kinds, a random number decides, and the expected counts are the weights.
     few = number < pairs.kinds
     counts = [
-        dr.opaque(mi.Float, number / pairs.kinds if few else (number - kind - 1) // pairs.kinds + 1)
-        for kind in range(pairs.kinds)
+        number / pairs.kinds if few else (number - kind - 1) // pairs.kinds + 1 for kind in range(pairs.kinds)
     ]
-    with uncollected():
+    parts = (
+        pairs,
+        prepared.view_term,
+        prepared.tracer,
+        prepared.transform,
+        prepared.focal,
+        prepared.film_flows,
+    )
+    own, key = split(parts)
+    arrays = {
+        "lanes": tuple(Lanes.of(view, pixels, batches)),
+        "seeds": [seeding(seed), seeding(seed, EVEN)],
+        "pilot": pilot.arrays,
+        "counts": [dr.opaque(mi.Float, count) for count in counts],
+        "number": dr.opaque(mi.UInt32, number),
+        "starts": dr.opaque(mi.UInt32, pairs.kinds if few else 1),
+        "parts": own,
+    }
+
+    def body(arrays: dict[str, Any]) -> tuple[list[mi.Color3f], mi.Color3f]:
+        lanes = Lanes(*arrays["lanes"])
+        seeds, even_seeds = arrays["seeds"]
+        pairs, view_term, _, transform, focal, film_flows = join(parts, iter(arrays["parts"]))
         columns, image = _sum_pairs(
             view,
-            prepared,
-            lane_sampler(pixel, batch, seed),
-            EvenNumbers.of(view, pixels, batches, seed, _DIMENSIONS),
-            centre,
-            baseline,
-            counts,
-            dr.opaque(mi.UInt32, number),
-            dr.opaque(mi.UInt32, pairs.kinds if few else 1),
+            replace(
+                prepared,
+                pairs=pairs,
+                view_term=view_term,
+                transform=transform,
+                focal=focal,
+                film_flows=film_flows,
+            ),
+            lane_sampler(lanes.pixel, lanes.batch, seeds),
+            EvenNumbers.of(lanes, even_seeds, _DIMENSIONS),
+            lanes.centre,
+            pilot.baseline(arrays["pilot"], lanes),
+            arrays["counts"],
+            arrays["number"],
+            arrays["starts"],
         )
-    return columns, image
+        return columns, image
+
+    own_integrator = isinstance(prepared.tracer, IntegratorTracer)
+    return view.recorder.ready("pairs", body, view, arrays, None if own_integrator else key)
 
 
 def as_arrays(colors: Any, batches: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

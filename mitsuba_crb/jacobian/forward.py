@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import IntegratorError
-from .pixels import camera_ray, lane_sampler, lanes, move_ray, radiance
+from .pixels import Lanes, camera_ray, lane_sampler, move_ray, radiance, seeding
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -99,10 +99,10 @@ def _column(
     """
     import mitsuba as mi
 
-    pixel, sample, centre = lanes(view, pixels, spp)
-    sampler = lane_sampler(pixel, sample, seed)
+    lanes = Lanes.of(view, pixels, spp)
+    sampler = lane_sampler(lanes.pixel, lanes.batch, seeding(seed))
     offset, weight = view.pixel_filter.sample(sampler.next_2d())
-    ray, importance = camera_ray(view, centre + mi.Vector2f(offset), sampler.next_2d())
+    ray, importance = camera_ray(view, lanes.centre + mi.Vector2f(offset), sampler.next_2d())
     twist = [mi.Float(0.0) for _ in range(6)]
     dr.enable_grad(twist[axis])
     moved = move_ray(ray, _attached_transform(view.pose, twist))

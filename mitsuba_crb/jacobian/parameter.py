@@ -22,14 +22,14 @@ from .. import se3
 from .film import FilmMap
 from .forward import MAX_LANES, per_batch, per_path
 from .pixels import (
+    Lanes,
     camera_ray,
     lane_sampler,
-    lanes,
     move_ray,
     opaque_transform,
     radiance,
     render_pixels,
-    visible_depth,
+    seeding,
 )
 
 if TYPE_CHECKING:
@@ -79,7 +79,8 @@ class SceneParameter:
         images = []
         for t in (self.steps[k], -self.steps[k]):
             with self.at(k, t):
-                images.append(render_pixels(view, pixels, spp=spp // batches, seed=seed, batches=batches))
+                moved = replace(view)  # which may have other settings
+                images.append(render_pixels(moved, pixels, spp=spp // batches, seed=seed, batches=batches))
         return np.asarray((images[0] - images[1]) / (2.0 * self.steps[k]))
 
     def _forward(self, view: View, pixels: Pixels, k: int, spp: int, seed: int, batches: int) -> Floats:
@@ -94,10 +95,10 @@ class SceneParameter:
         """∂L/∂t of every path (n, spp, 3), a lane each as in `forward`."""
         import mitsuba as mi
 
-        pixel, sample, centre = lanes(view, pixels, spp)
-        sampler = lane_sampler(pixel, sample, seed)
+        lanes = Lanes.of(view, pixels, spp)
+        sampler = lane_sampler(lanes.pixel, lanes.batch, seeding(seed))
         offset, weight = view.pixel_filter.sample(sampler.next_2d())
-        ray, importance = camera_ray(view, centre + mi.Vector2f(offset), sampler.next_2d())
+        ray, importance = camera_ray(view, lanes.centre + mi.Vector2f(offset), sampler.next_2d())
         world_ray = move_ray(ray, opaque_transform(view.pose))
         t = mi.Float(0.0)
         dr.enable_grad(t)
@@ -146,7 +147,7 @@ def is_placement(value: Any) -> bool:
 
 def motions(view: View, parameters: mi.SceneParameters, key: str, value: Any) -> SceneParameter:
     """The six motions of a placement: along the world's axes [scene unit], about its origin [rad]."""
-    depth = visible_depth(view)
+    depth = view.visible_depth
     shift = STEP_PIXELS * (float(np.median(depth)) if depth.size else 1.0) / view.focal_pixels
     turn = 2.0 * STEP_PIXELS / max(view.size)
     return SceneParameter(parameters, key, value, tuple(np.eye(6)), (shift,) * 3 + (turn,) * 3)

@@ -10,13 +10,12 @@ Source: Mitsuba 3.9, integrators `path` and `prb`.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 import drjit as dr
 
-from .pixels import radiance
+from .pixels import known_integrator, radiance
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -40,23 +39,9 @@ class Seen:
 
 
 def tracer(view: View) -> PathTracer | IntegratorTracer:
-    """What traces the view's camera paths.
-
-    Only integrators that are known to the type are replaced; what a Python integrator calls itself is no
-    matter. Those of C++ tell their settings in their description alone.
-    """
-    from mitsuba.python.ad.integrators.prb import PRBIntegrator
-
-    integrator = view.integrator
-    if not integrator.hide_emitters:
-        if type(integrator) is PRBIntegrator:
-            return PathTracer(integrator.max_depth, integrator.rr_depth)
-        settings = [int(number) for number in re.findall(r"_(?:depth|samples) = (\d+)", str(integrator))]
-        if integrator.class_name() == "PathIntegrator":
-            return PathTracer(*settings)
-        if integrator.class_name() == "DirectIntegrator" and settings == [1, 1]:
-            return PathTracer(2, 2)
-    return IntegratorTracer()
+    """What traces the view's camera paths."""
+    known = known_integrator(view.integrator)
+    return IntegratorTracer() if known is None else PathTracer(*known[1:])
 
 
 def first_hit(view: View, ray: mi.Ray3f, active: mi.Bool | bool = True) -> mi.SurfaceInteraction3f:

@@ -10,18 +10,18 @@ whatever tile or subset the pixel is rendered in. Source: design section 4; Phar
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import gc
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from ..information import BLOCK
+from .recorded import join, split
 from .sobol import sobol_point
 
 if TYPE_CHECKING:
@@ -58,22 +58,6 @@ def _sampler_class() -> Any:
     return PixelSampler
 
 
-@contextlib.contextmanager
-def uncollected() -> Iterator[None]:
-    """No garbage collection while a kernel is traced.
-
-    If another scene dies meanwhile, the kernel's first calls still count its objects as targets and the later
-    ones do not: Dr.Jit 1.5 then writes one function twice, and the process aborts.
-    """
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
-
-
 def upload(kind: Any, values: NDArray[Any]) -> Any:
     """An array as kernel input of type `kind` (mi.Float, mi.UInt32), in aligned memory.
 
@@ -104,18 +88,25 @@ def download(value: Any) -> NDArray[np.float64]:
     return np.array([np.array(component) for component in value], dtype=np.float64)
 
 
-def lane_sampler(pixel: mi.UInt32, batch: mi.UInt32, seed: int, purpose: int = 0) -> mi.Sampler:
+def seeding(seed: int, purpose: int = 0) -> tuple[mi.UInt32, mi.UInt32]:
+    """A seed and what the random numbers are for, as kernel input."""
+    import mitsuba as mi
+
+    key = dr.opaque(mi.UInt32, (seed ^ purpose) & 0xFFFFFFFF)
+    return key, dr.opaque(mi.UInt32, (purpose + 0x9E3779B9 * ((seed >> 32) + 1)) & 0xFFFFFFFF)
+
+
+def lane_sampler(pixel: mi.UInt32, batch: mi.UInt32, seeds: tuple[mi.UInt32, mi.UInt32]) -> mi.Sampler:
     """A sampler whose lane streams depend on (pixel, batch, seed, purpose) and on nothing else.
 
     Args:
         pixel: index of the lane's pixel in the whole image.
         batch: the lane's batch.
-        seed, purpose: 32-bit numbers, opaque to the kernel.
+        seeds: seed and purpose, from `seeding`.
     """
     import mitsuba as mi
 
-    key = dr.opaque(mi.UInt32, (seed ^ purpose) & 0xFFFFFFFF)
-    salt = dr.opaque(mi.UInt32, (purpose + 0x9E3779B9 * ((seed >> 32) + 1)) & 0xFFFFFFFF)
+    key, salt = seeds
     state = mi.sample_tea_64(pixel, key)
     stream = mi.sample_tea_64(batch ^ salt, pixel)
     return _sampler_class()(mi.PCG32(1, state, stream))
@@ -148,22 +139,15 @@ class EvenNumbers:
     """Of the sequence of each use."""
 
     @staticmethod
-    def of(
-        view: View, pixels: NDArray[np.int64], batches: int, seed: int, dimensions: Sequence[int]
-    ) -> EvenNumbers:
-        """Of lanes as from `lanes`, for independent uses of so many coordinates each."""
-        import mitsuba as mi
-
-        block = pixels // BLOCK
-        columns = -(-view.size[0] // BLOCK)
-        batch = upload(mi.UInt32, np.repeat(np.arange(batches), len(pixels)))
-        of_block = upload(mi.UInt32, np.tile(block[:, 1] * columns + block[:, 0], batches))
-        sampler = lane_sampler(of_block, batch, seed, EVEN)
-        local = pixels - BLOCK * block
-        x, y = local.T
-        bits = range((BLOCK - 1).bit_length())
-        z_order = sum((x >> bit & 1) << 2 * bit | (y >> bit & 1) << 2 * bit + 1 for bit in bits)
-        rank = upload(mi.UInt32, np.tile(z_order, batches))
+    def of(lanes: Lanes, seeds: tuple[mi.UInt32, mi.UInt32], dimensions: Sequence[int]) -> EvenNumbers:
+        """For independent uses of so many coordinates each; `seeds` are for the purpose `EVEN`."""
+        columns = (lanes.width + (BLOCK - 1)) // BLOCK
+        block = lanes.row // BLOCK * columns + lanes.column // BLOCK
+        sampler = lane_sampler(block, lanes.batch, seeds)
+        x, y = lanes.column % BLOCK, lanes.row % BLOCK
+        rank = x & 0
+        for bit in range((BLOCK - 1).bit_length()):
+            rank |= (x >> bit & 1) << 2 * bit | (y >> bit & 1) << 2 * bit + 1
         return EvenNumbers(rank, [_sequence_seeds(sampler, d) for d in dimensions])
 
 
@@ -275,6 +259,25 @@ def radiance(view: View, sampler: mi.Sampler, ray: mi.Ray3f, active: mi.Bool | b
     return mi.Color3f(result[0])
 
 
+def known_integrator(integrator: mi.Integrator) -> tuple[str, int, int] | None:
+    """Class, max_depth and rr_depth of Mitsuba's path tracers, of which that is all; None of others.
+
+    Only what is known to the type is one of them; what a Python integrator calls itself is no matter. Those
+    of C++ tell their settings in their description alone.
+    """
+    from mitsuba.python.ad.integrators.prb import PRBIntegrator
+
+    if integrator.hide_emitters:
+        return None
+    if type(integrator) is PRBIntegrator:
+        return "PRBIntegrator", integrator.max_depth, integrator.rr_depth
+    name = str(integrator.class_name())
+    settings = [int(number) for number in re.findall(r"_(?:depth|samples) = (\d+)", str(integrator))]
+    if name == "PathIntegrator":
+        return name, settings[0], settings[1]
+    return (name, 2, 2) if name == "DirectIntegrator" and settings == [1, 1] else None
+
+
 def camera_ray(view: View, film: mi.Point2f, aperture: mi.Point2f) -> tuple[mi.Ray3f, mi.Color3f]:
     """Ray in the camera frame through a film point [pixel], and the sensor's weight."""
     import mitsuba as mi
@@ -304,16 +307,43 @@ def opaque_transform(matrix: NDArray[np.float64]) -> mi.Transform4f:
     return transform
 
 
-def lanes(view: View, pixels: NDArray[np.int64], batches: int) -> tuple[mi.UInt32, mi.UInt32, mi.Point2f]:
-    """Pixel index, batch and pixel centre [pixel] of each lane; the pixel runs fastest."""
-    import mitsuba as mi
+class Lanes(NamedTuple):
+    """The lanes of some pixels and batches; the pixel runs fastest."""
 
-    index = pixels[:, 1] * view.size[0] + pixels[:, 0]
-    pixel = upload(mi.UInt32, np.tile(index, batches))
-    batch = upload(mi.UInt32, np.repeat(np.arange(batches), len(pixels)))
-    width = dr.opaque(mi.UInt32, view.size[0])
-    row = pixel // width
-    return pixel, batch, mi.Point2f(mi.Float(pixel - row * width) + 0.5, mi.Float(row) + 0.5)
+    pixel: mi.UInt32
+    """Index in the whole image."""
+    batch: mi.UInt32
+    width: mi.UInt32
+    """Of the image [pixel]."""
+
+    @staticmethod
+    def of(view: View, pixels: NDArray[np.int64], batches: int) -> Lanes:
+        """Of pixels (n, 2), columns and rows."""
+        import mitsuba as mi
+
+        index = pixels[:, 1] * view.size[0] + pixels[:, 0]
+        return Lanes(
+            upload(mi.UInt32, np.tile(index, batches)),
+            upload(mi.UInt32, np.repeat(np.arange(batches), len(pixels))),
+            dr.opaque(mi.UInt32, view.size[0]),
+        )
+
+    @property
+    def row(self) -> mi.UInt32:
+        """Of the pixel."""
+        return self.pixel // self.width
+
+    @property
+    def column(self) -> mi.UInt32:
+        """Of the pixel."""
+        return self.pixel - self.row * self.width
+
+    @property
+    def centre(self) -> mi.Point2f:
+        """Of the pixel [pixel]."""
+        import mitsuba as mi
+
+        return mi.Point2f(mi.Float(self.column) + 0.5, mi.Float(self.row) + 0.5)
 
 
 def render_pixels(
@@ -356,28 +386,39 @@ def start_pixels(
     purpose: int = 0,
     even: bool = False,
 ) -> mi.Color3f:
-    """As `render_pixels`, but the sum over the paths of each lane (see `lanes`), traced in the background."""
+    """As `render_pixels`, but the sum over the paths of each lane (see `Lanes`), traced in the background."""
     import mitsuba as mi
 
-    wide = widened(pixels)
-    pixel, batch, centre = lanes(view, wide, batches)
-    transform = opaque_transform(view.pose if pose is None else pose)
-    with uncollected():
-        total = sum_samples(
+    own, key = split(view.pixel_filter)
+    arrays = {
+        "lanes": tuple(Lanes.of(view, widened(pixels), batches)),
+        "seeds": seeding(seed, purpose),
+        "transform": opaque_transform(view.pose if pose is None else pose),
+        "spp": dr.opaque(mi.UInt32, spp),
+        "filter": own,
+    }
+
+    def body(arrays: dict[str, Any]) -> mi.Color3f:
+        lanes = Lanes(*arrays["lanes"])
+        return sum_samples(
             view,
-            lane_sampler(pixel, batch, seed, purpose),
-            centre,
-            transform,
-            dr.opaque(mi.UInt32, spp),
+            join(view.pixel_filter, iter(arrays["filter"])),
+            lane_sampler(lanes.pixel, lanes.batch, arrays["seeds"]),
+            lanes.centre,
+            arrays["transform"],
+            arrays["spp"],
             even,
         )
-        dr.eval(total)
-    return total
+
+    known = known_integrator(view.integrator)
+    total = view.recorder.ready("pixels", body, view, arrays, known and (known, key, even))()
+    return mi.Color3f(total)
 
 
 @dr.syntax  # type: ignore[untyped-decorator]
 def sum_samples(
     view: View,
+    pixel_filter: PixelFilter,
     sampler: mi.Sampler,
     centre: mi.Point2f,
     transform: mi.Transform4f,
@@ -387,7 +428,6 @@ def sum_samples(
     """Sum of weighted radiance over each lane's samples; equal kernels for all tiles, seeds and poses."""
     import mitsuba as mi
 
-    pixel_filter = view.pixel_filter
     total = mi.Color3f(0.0)
     i = mi.UInt32(0)
     seeds = [mi.UInt32(0)] * 3
@@ -418,18 +458,11 @@ def coarse_grid(size: tuple[int, int], most: int) -> NDArray[np.int64]:
     return np.stack(np.meshgrid(columns, rows), axis=-1)
 
 
-def visible_depth(view: View, most: int = 96) -> NDArray[np.float64]:
-    """Finite depths along the optical axis through a coarse grid of pixels [scene unit]."""
-    _, depth = first_hits(view, coarse_grid(view.size, most).reshape(-1, 2))
-    return depth[np.isfinite(depth) & (depth > 0)]
-
-
 def first_hits(view: View, pixels: NDArray[np.int64]) -> tuple[mi.SurfaceInteraction3f, NDArray[np.float64]]:
     """First surface through each pixel's centre, and its depth along the optical axis [scene unit]."""
     import mitsuba as mi
 
-    _, _, centre = lanes(view, pixels, 1)
-    ray, _ = camera_ray(view, centre, mi.Point2f(0.5, 0.5))
+    ray, _ = camera_ray(view, Lanes.of(view, pixels, 1).centre, mi.Point2f(0.5, 0.5))
     hit = view.scene.ray_intersect(move_ray(ray, opaque_transform(view.pose)))
     depth = dr.select(hit.is_valid(), ray.o.z + hit.t * ray.d.z, dr.inf)
     return hit, np.array(depth, dtype=np.float64)

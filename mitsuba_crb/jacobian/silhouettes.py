@@ -56,10 +56,6 @@ class Sides(NamedTuple):
     face: Any
     """The face of it."""
 
-    def fetched(self) -> Sides:
-        """In NumPy's arrays, once everything in the background is done."""
-        return Sides(*(np.asarray(lanes) for lanes in self))
-
 
 @dataclass(frozen=True)
 class Contours:
@@ -104,25 +100,28 @@ class Contours:
         radius = self.view.pixel_filter.radius
         return np.concatenate([low + 0.5 - radius, high - 0.5 + radius], axis=1)
 
-    def look(self, placed: Placed, aperture: Floats) -> Sides:
-        """What rays just beside points see, one lane each as of `ray`, to be evaluated.
+    def beside(self, placed: Placed, aperture: Floats) -> dict[str, Any]:
+        """Points just beside those on contours, as kernel input; a lone one twice.
 
         Args:
             aperture: (n, 2) the sensor's lens samples in [0, 1]² that give the points' lens points.
         """
         import mitsuba as mi
 
-        inner, shape, face = self._first_hit(placed.film + ASIDE * placed.normal, aperture)
-        outer, _, _ = self._first_hit(placed.film - ASIDE * placed.normal, aperture)
-        contour = dr.rcp(upload(mi.Float, widened(placed.seen[:, 2])))
-        shows = dr.abs(inner - contour) < dr.minimum(inner - outer, dr.abs(contour - outer))
-        return Sides(dr.select(shows, dr.maximum(contour - outer, 0.0), 0.0), shape, face)
+        inner, outer = placed.film + ASIDE * placed.normal, placed.film - ASIDE * placed.normal
+        return {
+            "inner": [upload(mi.Float, x) for x in widened(inner).T],
+            "outer": [upload(mi.Float, x) for x in widened(outer).T],
+            "aperture": [upload(mi.Float, x) for x in widened(aperture).T],
+            "depth": upload(mi.Float, widened(placed.seen[:, 2])),
+            "transform": opaque_transform(self.pose),
+        }
 
     def jump(self, sides: Sides, placed: Placed, piece: Ints, point: Floats) -> Floats:
         """Inverse depth of the foreground minus the background's (n,), 0 where nothing shows.
 
         Args:
-            sides: from `look`, fetched.
+            sides: from `look`, in NumPy's arrays.
             piece: (n,) what was placed.
             point: (n, 3) lens points.
         """
@@ -137,33 +136,46 @@ class Contours:
         jump[edge[self.table.repeats(self.pieces.tag[piece[edge]], hit, world, tolerance)]] = 0.0
         return jump
 
-    def _first_hit(self, film: Floats, aperture: Floats) -> tuple[mi.Float, mi.UInt32, mi.UInt32]:
-        """Inverse depth of what is seen, 0 at infinity, its shape's number, 0 for none, and its face."""
-        import mitsuba as mi
 
-        ray, _ = self.ray(film, aperture)
-        world_ray = move_ray(ray, opaque_transform(self.pose))
-        hit: Any
-        if self.view.integrator.hide_emitters:
-            hit = first_hit(self.view, world_ray)
-            distance = dr.dot(hit.p - world_ray.o, world_ray.d)
-        else:
-            hit = self.view.scene.ray_intersect_preliminary(world_ray)
-            distance = hit.t
-        depth = dr.fma(distance, ray.d.z, ray.o.z)
-        inverse_depth = dr.select(hit.is_valid(), dr.rcp(depth), 0.0)
-        shape = dr.select(hit.is_valid(), dr.reinterpret_array(mi.UInt32, hit.shape), 0)
-        return inverse_depth, shape, hit.prim_index
+def look(view: View, arrays: dict[str, Any]) -> tuple[Sides, mi.Ray3f, mi.Color3f]:
+    """What rays just beside points of contours see, and those on the background's side and their weights.
 
-    def ray(self, film: Floats, aperture: Floats) -> tuple[mi.Ray3f, mi.Color3f]:
-        """Rays in the camera frame through film points (n, 2) and lens samples (n, 2), and their weights.
+    Args:
+        arrays: from `Contours.beside`.
 
-        As many as `widened` makes of n.
-        """
-        import mitsuba as mi
+    Returns:
+        The rays in the world; all of it to be evaluated.
+    """
+    import mitsuba as mi
 
-        x, y, s, t = (upload(mi.Float, a) for a in (*widened(film).T, *widened(aperture).T))
-        return camera_ray(self.view, mi.Point2f(x, y), mi.Point2f(s, t))
+    (inner, _), (outer, importance) = (
+        camera_ray(view, mi.Point2f(*arrays[side]), mi.Point2f(*arrays["aperture"]))
+        for side in ("inner", "outer")
+    )
+    seen, shape, face = _first_hit(view, inner, arrays["transform"])
+    beyond, _, _ = _first_hit(view, outer, arrays["transform"])
+    contour = dr.rcp(arrays["depth"])
+    shows = dr.abs(seen - contour) < dr.minimum(seen - beyond, dr.abs(contour - beyond))
+    sides = Sides(dr.select(shows, dr.maximum(contour - beyond, 0.0), 0.0), shape, face)
+    return sides, move_ray(outer, arrays["transform"]), importance
+
+
+def _first_hit(view: View, ray: mi.Ray3f, transform: mi.Transform4f) -> tuple[mi.Float, mi.UInt32, mi.UInt32]:
+    """Inverse depth of what is seen, 0 at infinity, its shape's number, 0 for none, and its face."""
+    import mitsuba as mi
+
+    world_ray = move_ray(ray, transform)
+    hit: Any
+    if view.integrator.hide_emitters:
+        hit = first_hit(view, world_ray)
+        distance = dr.dot(hit.p - world_ray.o, world_ray.d)
+    else:
+        hit = view.scene.ray_intersect_preliminary(world_ray)
+        distance = hit.t
+    depth = dr.fma(distance, ray.d.z, ray.o.z)
+    inverse_depth = dr.select(hit.is_valid(), dr.rcp(depth), 0.0)
+    shape = dr.select(hit.is_valid(), dr.reinterpret_array(mi.UInt32, hit.shape), 0)
+    return inverse_depth, shape, hit.prim_index
 
 
 def find_contours(view: View) -> Contours:
@@ -255,14 +267,19 @@ def _weighted(contours: Contours, block: Ints, length: Floats) -> Contours:
     everywhere = np.broadcast_to([-np.inf, -np.inf, np.inf, np.inf], (n, 4))
     centre = np.zeros((n, 3))
     seen, near = np.zeros(n), np.zeros(n)
+    view = contours.view
+
+    def body(arrays: dict[str, Any]) -> tuple[Any, ...]:
+        return tuple(look(view, arrays)[0])
+
     for u in (0.25, 0.75):
         placed = contours.place(np.arange(n), np.full(n, u), centre, everywhere)
         near = np.maximum(near, 1.0 / placed.seen[:, 2])
         if n:  # Dr.Jit does not divide empty arrays
-            sides = contours.look(placed, np.full((n, 2), 0.5))
-            dr.eval(sides)
-            sides = sides.fetched()
-            seen += 0.5 * contours.jump(sides, placed, np.arange(n), centre) * placed.seen[:, 2]
+            arrays = contours.beside(placed, np.full((n, 2), 0.5))
+            sides = view.recorder.ready("probes", body, view, arrays, (view.integrator.hide_emitters,))()
+            jump = contours.jump(Sides(*map(np.asarray, sides)), placed, np.arange(n), centre)
+            seen += 0.5 * jump * placed.seen[:, 2]
     arc = length[piece]
     if contours.lens.radius == 0.0:
         # A pinhole knows how much of each piece lies in the block's reach.

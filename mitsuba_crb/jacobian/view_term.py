@@ -17,11 +17,12 @@ Source: design section 4.1.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
 
+from ..scene import contents
 from .paths import IntegratorTracer, Numbers, PathTracer, Seen
 from .pixels import upload
 
@@ -65,7 +66,7 @@ class ViewTerm:
         """What the scene needs; None if its materials are diffuse and its shading normals geometric."""
         import mitsuba as mi
 
-        nodes = _contents(view.scene)
+        nodes = contents(view.scene)
         bsdfs = [node for node in nodes if isinstance(node, mi.BSDF)]
         smooth_normals = any(_interpolates_normals(node) for node in nodes if isinstance(node, mi.Shape))
         index = [int(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(bsdf))[0]) for bsdf in bsdfs]
@@ -188,32 +189,12 @@ def _need(bsdf: mi.BSDF, glossy: int) -> int:
     import mitsuba as mi
 
     flags = int(bsdf.flags())
-    mapped = {"BumpMap", "NormalMap"} & {node.class_name() for node in _contents(bsdf)}
+    mapped = {"BumpMap", "NormalMap"} & {node.class_name() for node in contents(bsdf)}
     if flags & int(mi.BSDFFlags.Delta | mi.BSDFFlags.Delta1D | mi.BSDFFlags.Null):
         return DIFFERENCE
     if flags & int(mi.BSDFFlags.Glossy):
         return DIFFERENCE if mapped else glossy
     return HORIZON if mapped else NONE
-
-
-def _contents(root: mi.Object) -> list[mi.Object]:
-    """A Mitsuba object and all it contains."""
-    import mitsuba as mi
-
-    found: dict[int, mi.Object] = {}
-
-    class Collector(mi.TraversalCallback):  # type: ignore[misc]  # Mitsuba is untyped here
-        def put(self, _name: str, value: Any, *_flags: Any) -> None:
-            if isinstance(value, mi.Object):
-                visit(value)
-
-    def visit(node: mi.Object) -> None:
-        if node.ptr not in found:
-            found[node.ptr] = node
-            node.traverse(Collector())
-
-    visit(root)
-    return list(found.values())
 
 
 def _interpolates_normals(shape: mi.Shape) -> bool:
