@@ -158,25 +158,6 @@ class View:
         return PixelFilter.of(self.sensor.film().rfilter())
 
     @functools.cached_property
-    def settings(self) -> tuple[tuple[str, str], ...] | None:
-        """Names and values of what may change in the scene and is no array, and tells which sensor this is.
-
-        None if objects of the scene are written in Python, which may hold whatever they like.
-        """
-        import drjit as dr
-        import mitsuba as mi
-
-        if any(type(node).__module__ != "mitsuba" for node in contents(self.scene)):
-            return None
-        found = [("sensor", str(self.sensor.ptr)), ("bounds", repr(self.scene.bbox()))]
-        for name, value in mi.traverse(self.scene):
-            if dr.is_tensor_v(value):
-                found.append((name, repr(value.shape)))
-            elif not dr.is_jit_v(value) and not dr.is_jit_v(getattr(value, "matrix", value)):
-                found.append((name, repr(value)))
-        return tuple(found)
-
-    @functools.cached_property
     def visible_depth(self) -> NDArray[np.float64]:
         """Finite depths along the optical axis through a coarse grid of pixels [scene unit]."""
         from .jacobian.pixels import coarse_grid, first_hits
@@ -205,7 +186,7 @@ def open_view(
 ) -> Iterator[View]:
     """Load what is not loaded, check it, and lend it as a `View`; restores the sensor afterwards.
 
-    An `mi.Scene` is kept, with its kernels, until another one is opened.
+    An `mi.Scene` is kept, with its kernels as long as its parameters stay, until another one is opened.
 
     Args:
         scene: path of an XML file, a dictionary for `mi.load_dict`, or an `mi.Scene`.
@@ -224,9 +205,8 @@ def open_view(
 
     from .jacobian.recorded import Recorder
 
-    recorder = _kept[0][1] if _kept else Recorder()
-    if loaded is scene:
-        _kept[:] = [(loaded, recorder)]
+    recorder = _kept[0][1] if _kept and _kept[0][1].fits(loaded) else Recorder(loaded)
+    _kept[:] = [(loaded, recorder)] if loaded is scene else []
     camera, variable = _find_sensor(loaded, sensor)
     _check_film(camera.film())
     params = mi.traverse(camera)

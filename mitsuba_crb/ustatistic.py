@@ -100,7 +100,7 @@ def _squares(h: Array, mean: Array, batches: int) -> tuple[Array, Array]:
 def _squares_of_four(h: Array, mean: Array) -> tuple[Array, Array]:
     """The same for four batches, in half the time.
 
-    Of 12 and 34, of 13 and 24, and of 14 and 23 the difference sees the a alone, the sum the e alone.
+    The linear part of d is what 12 and 34, 13 and 24, and 14 and 23 differ by, the rest what their sums do.
     """
     others, one = h[:2:-1], h[:3]
     differences = np.subtract(one, others, out=others)

@@ -31,6 +31,7 @@ from .pixels import (
     render_pixels,
     seeding,
 )
+from .recorded import Recorder
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -79,7 +80,7 @@ class SceneParameter:
         images = []
         for t in (self.steps[k], -self.steps[k]):
             with self.at(k, t):
-                moved = replace(view)  # which may have other settings
+                moved = replace(view, recorder=Recorder(None))
                 images.append(render_pixels(moved, pixels, spp=spp // batches, seed=seed, batches=batches))
         return np.asarray((images[0] - images[1]) / (2.0 * self.steps[k]))
 
