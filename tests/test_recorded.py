@@ -351,6 +351,16 @@ def test_a_failure_while_recording_is_no_one_elses(error: type[BaseException]) -
         assert np.array_equal(np.array(view.recorder.ready("failing", body, view, arrays, ())()), [2.0, 4.0])
 
 
+def test_no_other_array_takes_the_place_of_a_parameters() -> None:
+    """Dr.Jit gives the indices of arrays that are gone to new ones."""
+    which = mi.load_dict(SCENE)
+    recorder = Recorder(which)
+    assert recorder.fits(which)
+    for i in range(50):
+        change(which, "lamp.intensity.value", lambda _, i=i: mi.Color3f(2.0 + i))
+        assert not recorder.fits(which)
+
+
 def test_keys_of_equal_parts_are_told_apart() -> None:
     """Dr.Jit takes the second True of nested tuples for the first one."""
     with open_view(mi.load_dict(SCENE)) as view:

@@ -135,8 +135,8 @@ def _state(scene: mi.Scene) -> tuple[list[Any], list[Any]] | None:
     objects = (node for node in contents(scene) if not isinstance(node, mi.Integrator))
     if any(type(node).__module__ != "mitsuba" for node in objects):
         return None
-    try:
-        parameters = list(mi.traverse(scene))
+    try:  # Copies, because Mitsuba's own follow what is set.
+        parameters = [(name, type(value)(value)) for name, value in mi.traverse(scene)]
     except TypeError:
         return None
     return parameters, [(name, _identity(value)) for name, value in parameters]
