@@ -113,7 +113,8 @@ def pose_bound(
     """The Cramér–Rao bound on the camera's pose, tile by tile; correlated noise needs the whole Jacobian.
 
     Args:
-        scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
+        scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`; the last such scene is kept, and traced
+            but once as long as its parameters stay.
         noise: noise model of the measured image; None is Gaussian with 0.01 of the image's white, the 99th
             percentile of a pilot render.
         prior: information known beforehand, see `cramer_rao_bound`.
