@@ -358,7 +358,6 @@ class InformationAccumulator:
             )
         self._batches = batches
         self._block = block
-        self._sampled = sampled
         self._blocks: set[int] = set()
         self._count = 0
         self._informative = False
@@ -399,7 +398,7 @@ class InformationAccumulator:
         self._count += len(positions)
         self._informative = self._informative or bool(precision.any())
         edges = np.array([0, len(order)])
-        if self._sampled:  # units of one pixel and of two come apart
+        if isinstance(self._units, SampledComponents):  # units of one pixel and of two come apart
             edges = np.insert(edges, 1, starts[np.searchsorted(np.diff(starts), [2, 3])])
         even = [np.linspace(a, b, -(-(b - a) // _CHUNK), endpoint=False) for a, b in pairwise(edges)]
         cuts = np.unique(np.searchsorted(starts, np.append(np.concatenate(even), len(order))))
@@ -501,7 +500,8 @@ class InformationAccumulator:
 
     def _order(self, pixels: NDArray[np.integer]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """By unit, then by pixel, so that the sums do not depend on the order given: see `in_squares`."""
-        side = self._block if self._block > 1 else 1 if self._sampled else _UNIT
+        alone = 1 if isinstance(self._units, SampledComponents) else _UNIT
+        side = self._block if self._block > 1 else alone
         order, starts = in_squares(pixels, side)
         if self._block > 1:
             column, row = pixels[order[starts[:-1]]].T.astype(np.int64) // side

@@ -42,7 +42,7 @@ class SampledComponents:
         n = whitened.shape[-1]
         if n > self._memory.shape[-1]:
             self._memory = np.empty((*self._memory.shape[:-1], n))
-        products = pixel_products(whitened, out=self._memory[..., :n])
+        products = pixel_products(whitened, out=self._memory)
         if len(starts) > n:
             means = self._alone.add(products)
             self._of_alone += gram(means.T)

@@ -205,7 +205,9 @@ def open_view(
 
     from .jacobian.recorded import Recorder
 
-    recorder = _kept[0][1] if _kept and _kept[0][1].fits(loaded) else Recorder(loaded)
+    recorder = Recorder(loaded)
+    if _kept and _kept[0][1].fits(recorder):
+        recorder = _kept[0][1]
     _kept[:] = [(loaded, recorder)] if loaded is scene else []
     camera, variable = _find_sensor(loaded, sensor)
     _check_film(camera.film())

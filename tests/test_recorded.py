@@ -355,10 +355,10 @@ def test_no_other_array_takes_the_place_of_a_parameters() -> None:
     """Dr.Jit gives the indices of arrays that are gone to new ones."""
     which = mi.load_dict(SCENE)
     recorder = Recorder(which)
-    assert recorder.fits(which)
+    assert recorder.fits(Recorder(which))
     for i in range(50):
         change(which, "lamp.intensity.value", lambda _, i=i: mi.Color3f(2.0 + i))
-        assert not recorder.fits(which)
+        assert not recorder.fits(Recorder(which))
 
 
 def test_keys_of_equal_parts_are_told_apart() -> None:

@@ -68,6 +68,8 @@ if TYPE_CHECKING:
 _DIMENSIONS = (4, 4)
 """What `EvenNumbers` are for: film offset and emitter, whose products are what edges of shadows show; and
 direction at the first surface and lens point."""
+_TRACED = ("pairs", "view_term", "tracer", "transform", "focal", "film_flows")
+"""What the kernel reads of `Prepared`."""
 RIM = 1e-3
 """n·q/|q| of a curved surface below which rounding decides: a tangent hit is exact to its root only."""
 PILOT_SPP = 2
@@ -303,14 +305,7 @@ def filter_and_view_terms(
     counts = [
         number / pairs.kinds if few else (number - kind - 1) // pairs.kinds + 1 for kind in range(pairs.kinds)
     ]
-    parts = (
-        pairs,
-        prepared.view_term,
-        prepared.tracer,
-        prepared.transform,
-        prepared.focal,
-        prepared.film_flows,
-    )
+    parts = [getattr(prepared, name) for name in _TRACED]
     own, key = split(parts)
     arrays = {
         "lanes": tuple(Lanes.of(view, pixels, batches)),
@@ -325,17 +320,10 @@ def filter_and_view_terms(
     def body(arrays: dict[str, Any]) -> tuple[list[mi.Color3f], mi.Color3f]:
         lanes = Lanes(*arrays["lanes"])
         seeds, even_seeds = arrays["seeds"]
-        pairs, view_term, _, transform, focal, film_flows = join(parts, iter(arrays["parts"]))
+        given = dict(zip(_TRACED, join(parts, iter(arrays["parts"])), strict=True))
         columns, image = _sum_pairs(
             view,
-            replace(
-                prepared,
-                pairs=pairs,
-                view_term=view_term,
-                transform=transform,
-                focal=focal,
-                film_flows=film_flows,
-            ),
+            replace(prepared, **given),
             lane_sampler(lanes.pixel, lanes.batch, seeds),
             EvenNumbers.of(lanes, even_seeds, _DIMENSIONS),
             lanes.centre,

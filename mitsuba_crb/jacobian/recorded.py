@@ -51,10 +51,9 @@ class Recorder:
         self._functions: dict[Any, Any] = {}
         self._call = _Call()
 
-    def fits(self, scene: mi.Scene) -> bool:
-        """Whether this scene's parameters are still the same."""
-        state = _state(scene)
-        return self._state is not None and state is not None and self._state[1] == state[1]
+    def fits(self, now: Recorder) -> bool:
+        """Whether nobody has set a parameter of the scene since, by a new recorder of the same scene."""
+        return self._state is not None and now._state is not None and self._state[1] == now._state[1]
 
     def ready(
         self, name: str, body: Callable[[Any], Any], view: View, arrays: Any, key: Any
@@ -171,13 +170,9 @@ def split(value: Any) -> tuple[list[Any], Any]:
 
 def join(value: Any, arrays: Iterator[Any]) -> Any:
     """The same with other arrays, in the order of `split`."""
-    import mitsuba as mi
-
-    if value is None or isinstance(value, bool | int | float | str | np.ndarray | mi.Object):
-        return value
     parts = _parts(value)
     if parts is None:
-        return next(arrays)
+        return next(arrays) if split(value)[0] else value
     joined = [join(part, arrays) for part in parts]
     kind: Any = type(value)
     return kind(*joined) if dataclasses.is_dataclass(value) else kind(joined)
