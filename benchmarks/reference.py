@@ -112,14 +112,21 @@ def run(name: str, *, spp: int, seed: int, step: float) -> None:
 
 
 def compare(names: list[str]) -> None:
-    """Flow beside the references, in per cent: what tests/test_flow_table.py asserts."""
-    table = Table("scene", "paths", "error", "diagonal", "off-diagonal")
+    """Flow beside the references, in per cent: what tests/test_flow_table.py asserts; and its preparation."""
+    table = Table("scene", "paths", "error", "diagonal", "off-diagonal", "prepare s")
     for name in names:
+        with measurement(ROWS[name].scene(), size=ROWS[name].size) as measured:
+            start = time.perf_counter()
+            prepared = measured.prepared
+            seconds = time.perf_counter() - start
+        del measured, prepared  # whose scene would otherwise be part of the next one's kernels
         difference, error = compared(name, ROWS[name].spp)
         worst = np.abs(difference)
         off = worst[~np.eye(6, dtype=bool)].max()
         numbers = (np.diag(error).max(), np.diag(worst).max(), off)
-        table.add_row(name, str(ROWS[name].spp), *(f"{100.0 * number:.2f}" for number in numbers))
+        table.add_row(
+            name, str(ROWS[name].spp), *(f"{100.0 * number:.2f}" for number in numbers), f"{seconds:.2f}"
+        )
     Console(width=80).print(table)
 
 

@@ -409,6 +409,27 @@ def test_tiles_change_nothing_and_calls_repeat_bit_for_bit_with_contours(scenes:
     assert np.abs((whole.matrix - tiled.matrix) / np.outer(scale, scale)).max() < 1e-12
 
 
+def test_principal_point_and_crop_window_are_those_of_finite_differences() -> None:
+    """Of a textured wall behind a box, within 4 standard errors; the plain film's information is another."""
+    sensor = camera(48, 36) | {"principal_point_offset_x": 0.15, "principal_point_offset_y": -0.1}
+    window = {"crop_width": 24, "crop_height": 15, "crop_offset_x": 17, "crop_offset_y": 4}
+    cropped = sensor | {"film": sensor["film"] | window}
+    which = {
+        "wall": wall(texture()),
+        "box": {"type": "cube", "to_world": T().translate([0, 0.4, 2]).scale(0.3)},
+    }
+    flowing, differences = (
+        pose_bound(scene(sensor=cropped, **which), Gaussian(0.1), method=method, spp=spp).information
+        for method, spp in (("flow", 256), ("finite_difference", 1024))
+    )
+    plain = pose_bound(scene(sensor=camera(24, 15), **which), Gaussian(0.1), spp=256).information
+    error = np.hypot(*(np.diagonal(F.standard_error) for F in (flowing, differences)))
+    expected = np.diagonal(differences.matrix)
+    assert np.all(4.0 * error < 0.25 * expected)
+    assert np.all(np.abs(np.diagonal(flowing.matrix) - expected) < 4.0 * error + 0.02 * expected)
+    assert np.abs(np.diagonal(plain.matrix) / expected - 1.0).max() > 0.5
+
+
 # Kernels
 
 
