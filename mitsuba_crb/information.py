@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from dataclasses import replace as dataclass_replace
 from itertools import pairwise
+from math import lcm
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -139,6 +140,41 @@ class ImageJacobian:
         twist, others = self.batch_values[..., :6] @ A, self.batch_values[..., 6:]
         return dataclass_replace(self, batch_values=np.concatenate([twist, others], axis=-1), frame=frame)
 
+    def at(self, pixels: ArrayLike) -> ImageJacobian:
+        """The same derivative at those of some pixels (n, 2) that it has, row by row."""
+        own, wanted = (np.asarray(p).astype(np.int64) @ (1, 1 << 32) for p in (self.pixels, pixels))
+        index = np.intersect1d(own, wanted, return_indices=True)[1]
+        selection = self.selection
+        if len(index) < len(own):
+            selection = dataclass_replace(selection, kind="only", selected=len(index))
+        return dataclass_replace(
+            self, batch_values=self.batch_values[:, index], pixels=self.pixels[index], selection=selection
+        )
+
+    def __sub__(self, other: ImageJacobian) -> ImageJacobian:
+        """What two independent estimates of one derivative differ by, at the pixels that both have.
+
+        Raises:
+            FrameError: variable, frame or linearisation pose differ.
+            OptionError: batches or nuisance parameters differ.
+        """
+        if not isinstance(other, ImageJacobian):
+            return NotImplemented
+        _refuse_to_mix(self, other, "subtract derivatives")
+        a, b = self.at(other.pixels), other.at(self.pixels)
+        if a.batch_values.shape != b.batch_values.shape or a.parameters != b.parameters:
+            raise OptionError(
+                f"cannot subtract derivatives of shapes {a.batch_values.shape} and {b.batch_values.shape}: "
+                "measure both with the same batches and nuisances"
+            )
+        # Only where neither side's errors are shared are the difference's independent.
+        return dataclass_replace(
+            a,
+            batch_values=a.batch_values - b.batch_values,
+            block=lcm(a.block, b.block),
+            provenance={"difference": [a.provenance, b.provenance]},
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class FisherInformation:
@@ -257,7 +293,7 @@ class FisherInformation:
         """
         if not isinstance(other, FisherInformation):
             return NotImplemented
-        self._refuse_to_mix(other)
+        _refuse_to_mix(self, other, "add information")
         if self.frame == "world":
             return (self.to_frame("camera") + other.to_frame("camera")).to_frame("world")
         plain = None
@@ -284,18 +320,6 @@ class FisherInformation:
             "selection": vars(self.selection).copy(),
             "plain_matrix": None if self.plain_matrix is None else self.plain_matrix.tolist(),
         }
-
-    def _refuse_to_mix(self, other: FisherInformation) -> None:
-        if self.variable != other.variable:
-            raise FrameError(f"cannot add information about {self.variable!r} and about {other.variable!r}")
-        if self.frame != other.frame:
-            raise FrameError(
-                f"cannot add information in the {self.frame} and in the {other.frame} frame; "
-                "call to_frame on one of them"
-            )
-        tolerance = 1e-9 * max(1.0, float(np.abs(self.pose[:3, 3]).max()))
-        if not np.allclose(self.pose, other.pose, rtol=0.0, atol=tolerance):
-            raise FrameError("cannot add information linearised at two different poses")
 
 
 @dataclass(frozen=True, eq=False)
@@ -620,6 +644,20 @@ def _old_from_new(old: Frame, new: Frame, pose: Array) -> Array | None:
     if old == new:
         return None
     return se3.adjoint(pose if old == "world" else se3.inverse(pose))
+
+
+def _refuse_to_mix(
+    a: ImageJacobian | FisherInformation, b: ImageJacobian | FisherInformation, act: str
+) -> None:
+    if a.variable != b.variable:
+        raise FrameError(f"cannot {act} about {a.variable!r} and about {b.variable!r}")
+    if a.frame != b.frame:
+        raise FrameError(
+            f"cannot {act} in the {a.frame} and in the {b.frame} frame; call to_frame on one of them"
+        )
+    tolerance = 1e-9 * max(1.0, float(np.abs(a.pose[:3, 3]).max()))
+    if not np.allclose(a.pose, b.pose, rtol=0.0, atol=tolerance):
+        raise FrameError(f"cannot {act} linearised at two different poses")
 
 
 def _joint_selection(a: PixelSelection, b: PixelSelection) -> PixelSelection:
