@@ -6,7 +6,9 @@ without bias (design section 5), so
 
     ratio_i = F_method,ii / F_fd,ii,   difference_i = (F_D,ii / F_fd,ii)^½ = ‖D_i‖ / ‖J_fd,i‖.
 
-The reference's own bias follows from a second step, twice as long: F(h) − F(0) ≈ (F(2h) − F(h)) / 3.
+All methods measure the same pixels, which are chosen once, with random numbers of their own each; what one of
+them drops as invalid is left out of the comparison with it. The reference's own bias follows from a second
+step, twice as long: F(h) − F(0) ≈ (F(2h) − F(h)) / 3.
 """
 
 from __future__ import annotations
@@ -21,8 +23,9 @@ from numpy.typing import NDArray
 from .errors import OptionError
 from .information import FisherInformation, ImageJacobian, fisher_information
 from .jacobian import finite_difference
-from .measure import METHODS, MeasurementOptions, pose_jacobian
+from .measure import METHODS, MeasurementOptions, measurement, pose_jacobian
 from .noise import Gaussian
+from .scene import as_scene
 
 AGREEMENT = 0.05
 """The smallest disagreement that a check must be able to see before it may say "agree"."""
@@ -116,45 +119,48 @@ def check_jacobian(
         known = [name for name in METHODS if name != "finite_difference"]
         raise OptionError(f"methods to check: {', '.join(known)}; got {', '.join(unknown) or 'none'}")
 
+    loaded, _ = as_scene(scene)
     options = {**DEFAULT_OPTIONS, **options}
-    seed = options.pop("seed", 0)
+    seed = options.get("seed", 0)
+    with measurement(loaded, **options) as run:
+        options["pixels"] = run.mask
 
-    def run(method: str, stream: int, step: float = finite_difference.STEP_PIXELS) -> ImageJacobian:
+    def jacobian(method: str, stream: int, step: float = finite_difference.STEP_PIXELS) -> ImageJacobian:
         given: MeasurementOptions = {
             **options,
             "method": method,
             "seed": seed + stream,
             "step_pixels": step,
         }
-        return pose_jacobian(scene, **given)
+        return pose_jacobian(loaded, **given)
 
-    reference = run("finite_difference", 1)
+    reference = jacobian("finite_difference", 1)
     noise = Gaussian(float(np.nanmax(np.abs(reference.image))) or 1.0)
-    fd = fisher_information(reference, noise)
     # The same random numbers at both steps, so that their difference is the bias and not the noise.
-    coarse = fisher_information(run("finite_difference", 1, 2 * finite_difference.STEP_PIXELS), noise)
-    truth = np.diag(fd.matrix)
-    # A column that is not seen has no relative bias; infinity keeps it out of every comparison.
-    bias = np.divide(
-        np.abs(np.diag(coarse.matrix) - truth) / 3.0, truth, out=np.full(6, np.inf), where=truth > 0.0
+    bias = _relative_bias(
+        reference, jacobian("finite_difference", 1, 2 * finite_difference.STEP_PIXELS), noise
     )
     rows = []
     for index, method in enumerate(methods):
-        jacobian = run(method, 2 + index)
-        difference = dataclasses.replace(
-            reference, batch_values=jacobian.batch_values - reference.batch_values
+        own = jacobian(method, 2 + index)
+        ours, theirs, difference = (
+            fisher_information(each, noise)
+            for each in (own.at(reference.pixels), reference.at(own.pixels), own - reference)
         )
-        rows.append(
-            _compare(
-                method,
-                fisher_information(jacobian, noise),
-                fd,
-                fisher_information(difference, noise),
-                bias,
-            )
-        )
+        rows.append(_compare(method, ours, theirs, difference, bias))
     seen = [row.detectable[np.isfinite(row.detectable)] for row in rows]
     return JacobianCheck(tuple(rows), max((float(d.max()) for d in seen if d.size), default=np.inf), bias)
+
+
+def _relative_bias(fine: ImageJacobian, coarse: ImageJacobian, noise: Gaussian) -> NDArray[np.float64]:
+    """(6,) of the diagonal of the fine step's information; infinite for a column that is not seen."""
+    truth, doubled = (
+        np.diag(fisher_information(each, noise).matrix)
+        for each in (fine.at(coarse.pixels), coarse.at(fine.pixels))
+    )
+    # Infinity keeps a column out of every comparison.
+    bias: NDArray[np.float64] = np.full(6, np.inf)
+    return np.divide(np.abs(doubled - truth) / 3.0, truth, out=bias, where=truth > 0.0)
 
 
 def _compare(

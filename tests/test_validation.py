@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from small_scenes import camera, scene, texture, textured_wall, wall
 
-from mitsuba_crb import check_jacobian
+from mitsuba_crb import check_jacobian, fisher_information, pose_jacobian
 from mitsuba_crb.errors import BlindSpotWarning, OptionError
+from mitsuba_crb.information import BLOCK
+from mitsuba_crb.noise import Gaussian
 
 FORWARD = {"methods": ("forward",)}
 
@@ -47,6 +51,50 @@ def test_columns_that_nobody_sees_do_not_count() -> None:
     plain = check_jacobian(scene(wall=wall()), spp=16, **FORWARD)
     assert plain.verdict == "inconclusive"
     assert np.all(np.isnan(plain.rows[0].ratio))
+
+
+@pytest.mark.parametrize(("pixels", "method"), [("random:0.5", "forward"), ("gradient:0.5", "flow")])
+def test_all_methods_measure_the_same_of_some_pixels(pixels: str, method: str) -> None:
+    """Other pixels, row by row, would differ by √2; what is left here is the noise of 96 paths."""
+    check = check_jacobian(textured_wall(sensor=camera(24, 16)), methods=(method,), spp=96, pixels=pixels)
+    assert check.disagreeing == []
+    assert np.all(check.rows[0].difference < 0.1)
+
+
+def test_pixels_that_a_method_drops_are_left_out_of_its_comparison() -> None:
+    """A texel of NaN spoils the pixels whose paths meet it, which are not the same for any two methods."""
+    values = np.random.default_rng(0).uniform(0.1, 0.9, (64, 64, 3)).astype(np.float32)
+    values[31, 31] = np.nan
+    bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(values), "raw": True}
+    spoiled = scene(wall=wall(bitmap), sensor=camera(24, 16))
+    options: dict[str, Any] = {"spp": 32, "batches": 4, "drop_invalid": True}
+    left = [
+        len(pose_jacobian(spoiled, method=method, seed=seed, **options).pixels)
+        for method, seed in (("finite_difference", 1), ("flow", 2))
+    ]
+    assert left[0] != left[1]
+    assert max(left) < 24 * 16
+    check = check_jacobian(spoiled, methods=("flow",), **options)
+    assert check.disagreeing == []
+    assert np.all(check.rows[0].difference < 0.4)
+
+
+def test_the_difference_has_the_errors_of_flow_s_blocks() -> None:
+    """Whose pixels share samples; the negative control takes them for independent, as the reference's are."""
+    scene, options = textured_wall(sensor=camera(24, 16)), {"spp": 32, "batches": 4}
+    (row,) = check_jacobian(scene, methods=("flow",), **options).rows
+    reference = pose_jacobian(scene, method="finite_difference", seed=1, **options)
+    flow = pose_jacobian(scene, seed=2, **options)
+    noise = Gaussian(float(reference.image.max()))
+    fd = np.diag(fisher_information(reference, noise).matrix)
+    expected = []
+    for block in (BLOCK, 1):
+        values = flow.batch_values - reference.batch_values
+        left = fisher_information(dataclasses.replace(flow, batch_values=values, block=block), noise)
+        error = np.diag(left.standard_error)
+        expected.append(0.5 * error / np.sqrt(np.maximum(np.diag(left.matrix), error) * fd))
+    assert row.difference_standard_error == pytest.approx(expected[0], rel=1e-6)
+    assert np.all(np.abs(row.difference_standard_error / expected[1] - 1.0) > 1e-3)
 
 
 def test_methods_that_do_not_exist_are_named() -> None:
