@@ -497,6 +497,11 @@ class InformationAccumulator:
             plain_matrix=sums.plain_matrix,
         )
 
+    @property
+    def added(self) -> Sums:
+        """F̂ of all P columns from the pixels added so far and of no others; zero if they tell nothing."""
+        return Sums(unpack(self._sum), self._units.positive, self._plain)
+
     def sums(self, selection: PixelSelection) -> Sums:
         """F̂ of all P columns from everything added so far, scaled to the whole image for a random subset.
 
@@ -514,7 +519,7 @@ class InformationAccumulator:
                 "ignored; change the exposure, or the variances"
             )
         if selection.kind != "random" or n == N:
-            return Sums(unpack(self._sum), self._units.positive, self._plain)
+            return self.added
         if not isinstance(self._units, SampledComponents):
             raise PixelsError("a random pixel subset needs InformationAccumulator(batches=..., sampled=True)")
         if n < 2:

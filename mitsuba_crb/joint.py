@@ -261,8 +261,8 @@ class JointAccumulator:
         values, weights, pixels = values[:, index], weights[index], pixels[index]
         own = InformationAccumulator(batches=self._batches, block=self._block, columns=values.shape[-1])
         own.add(values, weights, pixels)
-        sums = own.sums(PixelSelection("only", len(index), len(index), "a nuisance's tile"))
-        others = [c for c in range(values.shape[-1]) if not any(c in own for own in self._local.values())]
+        sums = own.added
+        others = [c for c in range(values.shape[-1]) if not any(c in local for local in self._local.values())]
         for subset, part in self._parts.items():
             unknown = [c for name in self._local if name in subset for c in self._local[name]]
             G = _eliminate(sums, unknown, others)

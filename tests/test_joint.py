@@ -7,7 +7,7 @@ from itertools import pairwise, permutations
 import numpy as np
 import pytest
 
-from mitsuba_crb.errors import NuisanceError, PixelsError
+from mitsuba_crb.errors import NoiseError, NuisanceError, PixelsError
 from mitsuba_crb.information import BLOCK, InformationAccumulator, PixelSelection
 from mitsuba_crb.joint import JointAccumulator
 from mitsuba_crb.symmetric import pack
@@ -236,6 +236,51 @@ class TestPerTile:
         costs = np.linalg.eigvalsh(one.matrix - many.matrix)  # a gain per tile costs more
         assert costs[0] > -1e-9 * whole.max()
         assert costs[-1] > 1e-5 * whole.max()
+
+    @pytest.mark.parametrize("case", ["ignored", "missing", "none in a call", "unlit", "of one pixel"])
+    @pytest.mark.parametrize("noise", [0.0, 0.5])
+    def test_a_tile_that_tells_nothing_of_it_costs_nothing(self, case, noise):
+        """The right one of two: what is left is the Schur complement with a pseudo-inverse, exactly so
+        without noise, and with it to 10 % of √(F_ii F_jj)."""
+        view = Columns(2, noise=noise)
+        right = view.pixels[:, 0] >= 16
+        kept = np.ones(len(view.pixels), dtype=bool)
+        if case == "ignored":
+            view.weights[right] = 0.0
+        elif case in ("missing", "none in a call"):
+            kept = ~right
+        elif case == "unlit":
+            view.J[right, :, 6:] = 0.0
+        else:
+            view.weights[right] = 0.0
+            view.weights[np.flatnonzero(right)[0]] = 1.0
+        values = view.draw()
+        accumulator = JointAccumulator(("gain:16", "black:16"), batches=4)
+        parts = [~right & kept, right & kept] if case == "none in a call" else [kept]
+        for part in parts:
+            accumulator.add(values[:, part], view.weights[part], view.pixels[part])
+        joint = accumulator.information(
+            variable="camera",
+            pose=np.eye(4),
+            length_scale=2.0,
+            selection=PixelSelection("only", 512, 512, ""),
+        )
+        columns = [view.J[..., k] * side[:, None] for k in (6, 7) for side in (right, ~right)]
+        J = np.concatenate([view.J[..., :6], np.stack(columns, axis=-1)], axis=-1)[kept]
+        whole = np.einsum("nci,nc,ncj->ij", J, view.weights[kept], J)
+        for unknown, own in ((("gain:16",), [6, 7]), (("gain:16", "black:16"), [6, 7, 8, 9])):
+            B, D = whole[:6, own], whole[np.ix_(own, own)]
+            expected = whole[:6, :6] - B @ np.linalg.pinv(D, rcond=1e-12, hermitian=True) @ B.T
+            found = joint.marginalize(*unknown).fix().information.matrix
+            scale = np.sqrt(np.outer(np.diagonal(expected), np.diagonal(expected)))
+            np.testing.assert_allclose(found / scale, expected / scale, atol=1e-8 if noise == 0.0 else 0.1)
+
+    def test_an_image_that_tells_nothing_is_still_refused(self):
+        view = Columns(1)
+        accumulator = JointAccumulator(("gain:16",), batches=4)
+        accumulator.add(view.draw(), 0.0 * view.weights, view.pixels)
+        with pytest.raises(NoiseError, match="no information in any of 512 pixels"):
+            accumulator.information(variable="camera", pose=np.eye(4), length_scale=2.0, selection=ALL)
 
     def test_a_tile_in_two_calls_is_refused(self):
         view = Columns(1)

@@ -19,7 +19,7 @@ from mitsuba_crb import pose_bound, pose_jacobian
 from mitsuba_crb.bound import ALL_NUISANCES
 from mitsuba_crb.errors import NuisanceError, NuisanceWarning
 from mitsuba_crb.jacobian.pixels import render_pixels
-from mitsuba_crb.noise import Gaussian
+from mitsuba_crb.noise import Gaussian, PerPixel
 from mitsuba_crb.nuisance import open_nuisances
 from mitsuba_crb.scene import open_view
 
@@ -183,6 +183,18 @@ class TestCost:
         with warnings.catch_warnings():
             warnings.simplefilter("error", NuisanceWarning)
             pose_bound(_scene(behind=behind), SIGMA, spp=16, nuisances=("gain",))
+
+    @pytest.mark.parametrize("names", [("gain:8",), ("gain:8", "black:8", "fov")])
+    def test_a_tile_that_noise_hides_is_a_tile_left_out(self, names: tuple[str, ...]) -> None:
+        variance = np.full((16, 24), 1e-4)
+        variance[:8, 8:16] = np.inf
+        hidden = pose_bound(_scene(), PerPixel(variance), spp=16, nuisances=names)
+        out = pose_bound(_scene(), SIGMA, spp=16, nuisances=names, pixels=np.isfinite(variance))
+        whole = pose_bound(_scene(), SIGMA, spp=16, nuisances=names)
+        scale = np.sqrt(np.diagonal(out.information.matrix))
+        difference = (hidden.information.matrix - out.information.matrix) / np.outer(scale, scale)
+        assert np.abs(difference).max() < 1e-9
+        assert (np.diagonal(whole.information.matrix) > 1.01 * np.diagonal(out.information.matrix)).all()
 
     @pytest.mark.slow
     def test_the_scene_is_as_before(self) -> None:
