@@ -12,7 +12,8 @@ still is a bound.
 
 A nuisance with a value of its own in every tile of the image ("gain:32") is in that tile's information only,
 and leaves it tile by tile: Gᵀ F_tile G is the information of the tile's columns J G. Memory does not grow
-with the number of tiles.
+with the number of tiles. What it takes of a tile, B D⁻¹ Bᵀ, is not linear in the tile's pixels, so that a
+random subset of them does not estimate it, and is refused; a subset that is itself the measurement is not.
 
 Source: Kay, "Fundamentals of Statistical Signal Processing", vol. I, 1993, section 3.7; van Trees 1968.
 """
@@ -30,7 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import se3
-from .errors import NuisanceError, PixelsError
+from .errors import NuisanceError, OptionError, PixelsError
 from .identifiability import FLOAT32_FLOOR
 from .information import (
     BLOCK,
@@ -190,10 +191,11 @@ class JointAccumulator:
         Raises:
             NuisanceError: per-tile nuisances with different tiles, with tiles that are no multiple of
                 `BLOCK`, or with noise that couples tiles.
+            OptionError: per-tile nuisances and a random subset.
         """
         self._batches, self._block = batches, block
         self._parameters = parameters
-        self._side = tile_side(parameters)
+        self._side = tile_side(parameters, sampled=sampled)
         if coupled and self._side is not None:
             raise NuisanceError(
                 "a nuisance per tile needs noise of independent pixels: correlated noise couples the tiles"
@@ -300,11 +302,16 @@ def joint_information(
     )
 
 
-def tile_side(names: tuple[str, ...]) -> int | None:
+def tile_side(names: tuple[str, ...], *, sampled: bool) -> int | None:
     """Side [pixel] of the tiles that the names' per-tile nuisances ("gain:32") share; None if there is none.
+
+    Args:
+        names: of all nuisances.
+        sampled: a random subset of the pixels stands for the whole image.
 
     Raises:
         NuisanceError: they differ, or are no positive multiple of `BLOCK`.
+        OptionError: there are some, and the pixels are sampled.
     """
     sides = {side for side in map(_side_of, names) if side is not None}
     if len(sides) > 1:
@@ -314,6 +321,12 @@ def tile_side(names: tuple[str, ...]) -> int | None:
     for side in sides:
         if side <= 0 or side % BLOCK:
             raise NuisanceError(f"the side of a nuisance's tiles must be a multiple of {BLOCK}, not {side}")
+    if sides and sampled:
+        local = ", ".join(dict.fromkeys(name for name in names if _side_of(name) is not None))
+        raise OptionError(
+            f"{local} with random:f pixels: a random subset of a tile does not tell without bias what a "
+            "nuisance costs there; measure all pixels, a mask or gradient:f, or take one for the whole image"
+        )
     return next(iter(sides), None)
 
 

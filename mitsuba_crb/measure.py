@@ -431,13 +431,13 @@ def measurement(
     """A view, opened as `MeasurementOptions` and `pose_bound` say; unchanged afterwards."""
     _check_options(method, spp, seed, batches, tile)
     with open_view(scene, sensor=sensor, pose=pose, integrator=integrator, size=size) as view:
-        visible = view.visible_depth
         mask, selection = subset.choose(pixels, view.size, seed, lambda: _pilot_image(view, seed, tile))
+        side = tile_side(tuple(nuisances), sampled=selection.kind == "random")
+        visible = view.visible_depth
         unknown = open_nuisances(view, nuisances, method)
         step: dict[str, Any] = {"step_pixels": step_pixels} if method == "finite_difference" else {}
         if method == "flow":
             step["film_flows"] = tuple(flow for each in unknown for flow in each.film_flows)
-        side = tile_side(tuple(nuisances))
         yield Measurement(
             view=view,
             method=method,

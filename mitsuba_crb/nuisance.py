@@ -7,7 +7,8 @@
     principal_point  its two film coordinates [pixel]; likewise
     NAME             a differentiable parameter of `mi.traverse(scene)`, a column for each entry; of a
                      `to_world` the six motions. NAME:scale is a common scale of all entries
-    gain:32          with a value of its own in every tile of 32 x 32 pixels; likewise black:32
+    gain:32          with a value of its own in every tile of 32 x 32 pixels; likewise black:32; not of a
+                     random subset of the pixels (`joint`)
 
 A scene parameter is differentiated by forward mode if it moves no edges, and otherwise, or if forward mode
 fails or sees nothing on a few pixels, by finite differences. Columns of one batch never depend on another's
@@ -25,7 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import NuisanceError
-from .joint import tile_side
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -85,7 +85,6 @@ def open_nuisances(view: View, names: Sequence[str], method: str) -> tuple[Nuisa
     twice = sorted({name for name in names if list(names).count(name) > 1})
     if twice:
         raise NuisanceError(f"nuisance {', '.join(twice)} was given twice")
-    tile_side(tuple(names))
     return tuple(_open(view, name, method) for name in names)
 
 

@@ -175,6 +175,13 @@ def test_a_nuisance_that_does_not_exist_is_refused_with_near_ones(capsys):
     assert "near ones: principal_point" in message
 
 
+def test_a_nuisance_per_tile_is_refused_with_random_pixels(capsys):
+    message = refused(
+        capsys, "bound", WALL, "--size", "16x12", "--marginalize", "black:8", "--pixels", "random:0.1"
+    )
+    assert "black:8 with random:f pixels" in message
+
+
 @pytest.mark.parametrize(
     ("command", "other"),
     [(cli.bound, {}), (cli.check, validation.DEFAULT_OPTIONS), (cli.validate, {"spp": trials.DEFAULT_SPP})],

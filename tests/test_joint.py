@@ -7,7 +7,7 @@ from itertools import pairwise, permutations
 import numpy as np
 import pytest
 
-from mitsuba_crb.errors import NoiseError, NuisanceError, PixelsError
+from mitsuba_crb.errors import NoiseError, NuisanceError, OptionError, PixelsError
 from mitsuba_crb.information import BLOCK, InformationAccumulator, PixelSelection
 from mitsuba_crb.joint import JointAccumulator
 from mitsuba_crb.symmetric import pack
@@ -281,6 +281,31 @@ class TestPerTile:
         accumulator.add(view.draw(), 0.0 * view.weights, view.pixels)
         with pytest.raises(NoiseError, match="no information in any of 512 pixels"):
             accumulator.information(variable="camera", pose=np.eye(4), length_scale=2.0, selection=ALL)
+
+    def test_a_random_subset_is_refused_by_name(self):
+        with pytest.raises(OptionError, match=r"gain:8, black:8 with random:f pixels.*a mask or gradient:f"):
+            JointAccumulator(("gain:8", "fov", "black:8"), batches=4, sampled=True)
+        JointAccumulator(("gain", "fov"), batches=4, sampled=True)
+
+    @pytest.mark.parametrize(("name", "biased"), [("gain:8", True), ("gain", False)])
+    def test_a_random_subset_of_a_tile_does_not_tell_what_a_nuisance_costs(self, name, biased):
+        """The mean cost by an eighth of the pixels, eight times, is off by 6 standard errors; that of a
+        nuisance of the whole image is within 4."""
+        view = Columns(1, noise=0.0)
+        values, rng = view.draw(), np.random.default_rng(4)
+
+        def cost(index):
+            accumulator = JointAccumulator((name,), batches=4)
+            accumulator.add(values[:, index], view.weights[index], view.pixels[index])
+            joint = accumulator.information(
+                variable="camera", pose=np.eye(4), length_scale=2.0, selection=ALL
+            )
+            lost = joint.fix().information.matrix - joint.marginalize().information.matrix
+            return np.trace(lost) * 512 / len(index)
+
+        costs = [cost(rng.permutation(512)[:64]) for _ in range(60)]
+        deviation = (np.mean(costs) - cost(np.arange(512))) / (np.std(costs) / np.sqrt(len(costs)))
+        assert deviation > 6.0 if biased else abs(deviation) < 4.0
 
     def test_a_tile_in_two_calls_is_refused(self):
         view = Columns(1)

@@ -6,6 +6,7 @@ in the oracle does not pull them below 1.
 
 from __future__ import annotations
 
+import dataclasses
 import warnings
 from itertools import permutations
 from typing import Any
@@ -17,8 +18,10 @@ from small_scenes import T, camera, scene, texture, wall
 
 from mitsuba_crb import pose_bound, pose_jacobian
 from mitsuba_crb.bound import ALL_NUISANCES
-from mitsuba_crb.errors import NuisanceError, NuisanceWarning
+from mitsuba_crb.errors import NuisanceError, NuisanceWarning, OptionError
+from mitsuba_crb.jacobian import pixels
 from mitsuba_crb.jacobian.pixels import render_pixels
+from mitsuba_crb.joint import joint_information
 from mitsuba_crb.noise import Gaussian, PerPixel
 from mitsuba_crb.nuisance import open_nuisances
 from mitsuba_crb.scene import open_view
@@ -206,6 +209,37 @@ class TestCost:
         np.testing.assert_array_equal(first.batch_values, again.batch_values)
         before = pose_jacobian(_scene(), spp=16)
         np.testing.assert_array_equal(first.batch_values[..., :6], before.batch_values)
+
+
+class TestRandomPixels:
+    names = ("gain:8", "fov")
+
+    @pytest.mark.parametrize("run", [pose_bound, pose_jacobian])
+    def test_a_nuisance_per_tile_is_refused_before_anything_is_rendered(
+        self, run: Any, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def render(*_: Any) -> None:
+            raise AssertionError("rendered")
+
+        monkeypatch.setattr(pixels, "camera_ray", render)
+        with pytest.raises(OptionError, match="gain:8 with random:f pixels"):
+            run(_scene(), nuisances=self.names, pixels="random:0.5")
+        with pytest.raises(AssertionError, match="rendered"):  # negative control
+            run(_scene(), nuisances=self.names, pixels="random:1")
+
+    def test_other_subsets_and_other_nuisances_are_measured(self) -> None:
+        for names, chosen in (
+            (self.names, "random:1"),
+            (self.names, "gradient:0.5"),
+            (self.names, np.arange(384).reshape(16, 24) % 2 == 0),
+            (("gain",), "random:0.5"),
+        ):
+            assert pose_bound(_scene(), SIGMA, spp=16, nuisances=names, pixels=chosen).joint is not None
+
+    def test_a_random_jacobian_s_columns_are_no_nuisance_per_tile(self) -> None:
+        jacobian = pose_jacobian(_scene(), spp=16, nuisances=("gain",), pixels="random:0.5")
+        with pytest.raises(OptionError, match="gain:8 with random:f pixels"):
+            joint_information(dataclasses.replace(jacobian, parameters=("gain:8",)), SIGMA)
 
 
 class TestBadNames:
