@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
-from itertools import permutations
+from itertools import combinations_with_replacement, permutations
 from typing import Any
 
 import mitsuba as mi
@@ -19,7 +19,7 @@ from small_scenes import T, camera, scene, texture, wall
 from mitsuba_crb import pose_bound, pose_jacobian
 from mitsuba_crb.bound import ALL_NUISANCES
 from mitsuba_crb.errors import NuisanceError, NuisanceWarning, OptionError
-from mitsuba_crb.jacobian import pixels
+from mitsuba_crb.jacobian import flow, forward, pixels
 from mitsuba_crb.jacobian.pixels import render_pixels
 from mitsuba_crb.joint import joint_information
 from mitsuba_crb.noise import Gaussian, PerPixel
@@ -151,6 +151,53 @@ class TestSceneParameters:
             with open_view(_scene(ball={**BALL, "center": [x, 0.1, 2.0]})) as view:
                 images.append(render_pixels(view, _pixels(), spp=512, seed=7, batches=4))
         assert _ratio(shift, (images[0] - images[1]) / 0.02) == pytest.approx(1.0, abs=0.06)
+
+
+class TestRandomNumbers:
+    """A U-statistic needs batches of different numbers in every pair of columns, whatever measures them."""
+
+    seeds = 12
+
+    def _measured(self) -> dict[str, np.ndarray]:
+        """The image (seeds, batches, n, 3) at eight paths, as each kernel that draws paths measures it."""
+        paths = {"spp": 8, "batches": 4}
+        found: dict[str, list[np.ndarray]] = {"renders": [], "flow": [], "forward mode": []}
+        with open_view(_scene()) as view:
+            (lamp,) = open_nuisances(view, ("light.radiance.value:scale",), "flow")
+            prepared = flow.prepare(view)
+            for seed in range(self.seeds):
+                image = render_pixels(view, _pixels(), spp=2, batches=4, seed=seed)
+                found["renders"].append(image)
+                found["flow"].append(flow.jacobian(view, _pixels(), seed=seed, prepared=prepared, **paths)[1])
+                # The image is linear in its only light.
+                found["forward mode"].append(
+                    lamp.columns(view, _pixels(), image, image, seed=seed, **paths)[0][..., 0]
+                )
+            _, image = forward.jacobian(view, _pixels(), seed=0, **paths)
+        np.testing.assert_allclose(image, found["forward mode"][0], rtol=1e-4)
+        return {name: np.array(values) for name, values in found.items()}
+
+    def _coupling(self, a: np.ndarray, b: np.ndarray) -> float:
+        """Mean product of two kernels' errors in different batches of a seed, in standard errors.
+
+        The same product with the next seed's batches, which has the expectation 0, is taken off.
+        """
+        errors, others = a - a.mean(axis=(0, 1)), b - np.roll(b, 1, axis=0)
+        products = np.einsum("skni,slni->skl", errors, others)
+        products[:, range(4), range(4)] = 0.0
+        each = products.sum(axis=(1, 2))
+        return float(each.mean() / (each.std(ddof=1) / np.sqrt(self.seeds)))
+
+    def test_different_batches_of_any_two_kernels_are_independent(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Within 4 standard errors; paths under the purpose of batches are the negative control, at 10."""
+        measured = self._measured()
+        for a, b in combinations_with_replacement(measured.values(), 2):
+            assert abs(self._coupling(a, b)) < 4.0
+        monkeypatch.setattr(forward, "FORWARD", 0)
+        shared = self._measured()
+        assert self._coupling(shared["forward mode"], shared["renders"]) > 10.0
 
 
 class TestCost:

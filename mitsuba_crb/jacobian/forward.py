@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 MAX_LANES = 1 << 18
 """Paths per kernel launch; bounds the memory."""
+FORWARD = 0x464F5257
+"""Purpose of the random numbers of paths with a lane each: their place among a pixel's paths stands where
+other kernels have the batch, so that under one purpose a path would share those of another batch's."""
 
 
 @dataclass(frozen=True)
@@ -99,16 +102,26 @@ def _column(
     """
     import mitsuba as mi
 
-    lanes = Lanes.of(view, pixels, spp)
-    sampler = lane_sampler(lanes.pixel, lanes.batch, seeding(seed))
-    offset, weight = view.pixel_filter.sample(sampler.next_2d())
-    ray, importance = camera_ray(view, lanes.centre + mi.Vector2f(offset), sampler.next_2d())
+    sampler, ray, weight = camera_paths(view, pixels, spp, seed)
     twist = [mi.Float(0.0) for _ in range(6)]
     dr.enable_grad(twist[axis])
     moved = move_ray(ray, _attached_transform(view.pose, twist))
-    value = weight * importance * radiance(view, sampler, moved)
+    value = weight * radiance(view, sampler, moved)
     dr.forward_from(twist[axis])
     return per_path(dr.grad(value), spp), per_path(dr.detach(value), spp)
+
+
+def camera_paths(
+    view: View, pixels: NDArray[np.int64], spp: int, seed: int
+) -> tuple[mi.Sampler, mi.Ray3f, mi.Color3f]:
+    """All paths of some pixels, a lane each: their samplers, rays in the camera frame, and weights."""
+    import mitsuba as mi
+
+    lanes = Lanes.of(view, pixels, spp)
+    sampler = lane_sampler(lanes.pixel, lanes.batch, seeding(seed, FORWARD))
+    offset, weight = view.pixel_filter.sample(sampler.next_2d())
+    ray, importance = camera_ray(view, lanes.centre + mi.Vector2f(offset), sampler.next_2d())
+    return sampler, ray, weight * importance
 
 
 def per_batch(paths: NDArray[np.float64], batches: int) -> NDArray[np.float64]:

@@ -20,17 +20,8 @@ from numpy.typing import NDArray
 
 from .. import se3
 from .film import FilmMap
-from .forward import MAX_LANES, per_batch, per_path
-from .pixels import (
-    Lanes,
-    camera_ray,
-    lane_sampler,
-    move_ray,
-    opaque_transform,
-    radiance,
-    render_pixels,
-    seeding,
-)
+from .forward import MAX_LANES, camera_paths, per_batch, per_path
+from .pixels import move_ray, opaque_transform, radiance, render_pixels
 from .recorded import Recorder
 
 if TYPE_CHECKING:
@@ -96,16 +87,13 @@ class SceneParameter:
         """∂L/∂t of every path (n, spp, 3), a lane each as in `forward`."""
         import mitsuba as mi
 
-        lanes = Lanes.of(view, pixels, spp)
-        sampler = lane_sampler(lanes.pixel, lanes.batch, seeding(seed))
-        offset, weight = view.pixel_filter.sample(sampler.next_2d())
-        ray, importance = camera_ray(view, lanes.centre + mi.Vector2f(offset), sampler.next_2d())
+        sampler, ray, weight = camera_paths(view, pixels, spp, seed)
         world_ray = move_ray(ray, opaque_transform(view.pose))
         t = mi.Float(0.0)
         dr.enable_grad(t)
         # Evaluated loops: a symbolic one cannot be differentiated in what its body reads from outside.
         with self.at(k, t), dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, False):
-            value = weight * importance * radiance(view, sampler, world_ray)
+            value = weight * radiance(view, sampler, world_ray)
             dr.forward_from(t)
             return per_path(dr.grad(value), spp)
 

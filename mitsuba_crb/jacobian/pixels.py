@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from ..scene import View
 
 PILOT, EVEN = 0x50494C4F, 0x4556454E
-"""Purposes of the random numbers of pilot renders, and of what a block's pixels share; Jacobians use 0."""
+"""Purposes of the random numbers of pilot renders, and of what a block's pixels share; Jacobians use 0, but
+for lanes that are told apart by something else than the batch."""
 
 
 @functools.cache
@@ -101,7 +102,7 @@ def lane_sampler(pixel: mi.UInt32, batch: mi.UInt32, seeds: tuple[mi.UInt32, mi.
 
     Args:
         pixel: index of the lane's pixel in the whole image.
-        batch: the lane's batch.
+        batch: the lane's batch; a purpose under which it means something else must not be used for batches.
         seeds: seed and purpose, from `seeding`.
     """
     import mitsuba as mi
