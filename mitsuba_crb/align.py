@@ -35,6 +35,7 @@ from . import se3
 from .bound import PoseBound, cramer_rao_bound
 from .errors import AlignmentError, NoiseError, OutOfViewError, PrecisionWarning
 from .information import ImageJacobian, PixelSelection, fisher_information
+from .lending import in_turn
 from .measure import Measurement, MeasurementOptions, measurement
 from .noise import CoupledNoise, IndependentNoise, NoiseModel
 from .scene import as_scene, open_view
@@ -105,6 +106,7 @@ class Anchor:
     """Measured near there; spares the searches from measuring their own."""
 
 
+@in_turn
 def align(
     scene: Any,
     image: ArrayLike,

@@ -26,6 +26,7 @@ from . import se3
 from .bound import PoseBound, cramer_rao_bound
 from .errors import PriorError
 from .information import FisherInformation, InformationAccumulator
+from .lending import in_turn
 from .measure import MeasurementOptions, measurement
 from .noise import NoiseModel
 from .prior import PosePrior
@@ -33,6 +34,7 @@ from .se3 import Array
 from .symmetric import pack
 
 
+@in_turn
 def van_trees(
     scene: Any,
     noise: NoiseModel | None,

@@ -28,6 +28,7 @@ from .errors import BlindSpotWarning, NoiseError, OptionError, PrecisionWarning,
 from .information import BLOCK, Accumulator, ImageJacobian, PixelSelection, as_noise_model
 from .jacobian.finite_difference import STEP_PIXELS
 from .joint import JointAccumulator, tile_side
+from .lending import in_turn
 from .noise import CoupledNoise, Gaussian, IndependentNoise, NoiseModel
 from .nuisance import Nuisance, nuisance_columns, open_nuisances
 from .scene import View, open_view
@@ -77,6 +78,7 @@ class MeasurementOptions(TypedDict, total=False):
     """Image motion of a finite-difference step [pixel]; other methods have none."""
 
 
+@in_turn
 def pose_jacobian(
     scene: Any, *, nuisances: Sequence[str] = (), **options: Unpack[MeasurementOptions]
 ) -> ImageJacobian:
@@ -102,6 +104,7 @@ def pose_jacobian(
         return run.jacobian()
 
 
+@in_turn
 def pose_bound(
     scene: Any,
     noise: NoiseModel | None = None,
@@ -158,7 +161,7 @@ def pose_bound(
         alone = joint.marginalize()
         bound = joint_bound(alone, prior=prior)
     for warning in caught:
-        warnings.warn(warning.message, warning.category, stacklevel=2)
+        warnings.warn(warning.message, warning.category, stacklevel=3)
     provenance = {
         **run.provenance(),
         "noise": {**model.to_dict(), "description": model.description, "origin": origin},

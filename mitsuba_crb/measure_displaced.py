@@ -17,6 +17,7 @@ from . import se3
 from .errors import NoiseError, OptionError, RadianceError
 from .hcr import HCRBound, axis_displacements, hammersley_chapman_robbins
 from .information import InformationAccumulator, PixelSelection
+from .lending import in_turn
 from .measure import Measurement, MeasurementOptions, measurement
 from .noise import Gaussian, NoiseModel, PerChannel, PerPixel
 from .se3 import Array
@@ -32,6 +33,7 @@ _TILE = 64  # all displaced images of a tile are held at once
 _PURPOSE = 0x48435242
 
 
+@in_turn
 def hcr_bound(
     scene: Any,
     noise: NoiseModel | None = None,

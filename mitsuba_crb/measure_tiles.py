@@ -12,6 +12,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from .errors import SelectionError
+from .lending import in_turn
 from .measure import MeasurementOptions, measurement
 from .message import message_size
 from .noise import CoupledNoise, NoiseModel
@@ -23,6 +24,7 @@ TILE_SIZE = 32
 """Default side of the tiles [pixel]."""
 
 
+@in_turn
 def tile_information(
     scene: Any,
     noise: NoiseModel | None = None,

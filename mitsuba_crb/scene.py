@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import llvm, se3
-from .errors import FilmError, IntegratorError, OptionError, PoseError, SceneError, SensorError, VariantError
+from .errors import FilmError, IntegratorError, PoseError, SceneError, SensorError, VariantError
+from .lending import at_identity, turns
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -82,7 +83,8 @@ def load_scene(path: str | os.PathLike[str], /, **defines: str) -> mi.Scene:
     if not file.is_file():
         raise SceneError(f"no scene file at {file}")
     try:
-        scene = mi.load_file(str(file), **{key: str(value) for key, value in defines.items()})
+        with turns:
+            scene = mi.load_file(str(file), **{key: str(value) for key, value in defines.items()})
     except Exception as error:  # Mitsuba raises RuntimeError and others for a bad scene file
         raise SceneError(_parser_message(error, file)) from error
     if not isinstance(scene, mi.Scene):
@@ -187,6 +189,7 @@ def open_view(
     """Load what is not loaded, check it, and lend it as a `View`; restores the sensor afterwards.
 
     An `mi.Scene` is kept, with its kernels as long as its parameters stay, until another one is opened.
+    Another thread's view waits until this one is closed.
 
     Args:
         scene: path of an XML file, a dictionary for `mi.load_dict`, or an `mi.Scene`.
@@ -198,44 +201,26 @@ def open_view(
     Raises:
         SceneError, SensorError, FilmError, IntegratorError, PoseError, OptionError, VariantError, LLVMError.
     """
-    if _kept and _kept[0][0] is not scene:
-        _kept.clear()
-    loaded, label = as_scene(scene)
-    import mitsuba as mi
+    with turns:
+        if _kept and _kept[0][0] is not scene:
+            _kept.clear()
+        loaded, label = as_scene(scene)
+        from .jacobian.recorded import Recorder
 
-    from .jacobian.recorded import Recorder
-
-    recorder = Recorder(loaded)
-    if _kept and _kept[0][1].fits(recorder):
-        recorder = _kept[0][1]
-    _kept[:] = [(loaded, recorder)] if loaded is scene else []
-    camera, variable = _find_sensor(loaded, sensor)
-    _check_film(camera.film())
-    params = mi.traverse(camera)
-    keys = ("to_world", "film.size", "film.crop_size", "film.crop_offset")
-    before = {key: type(params[key])(params[key]) for key in keys}
-    if pose is None:
-        world_from_camera = _rigid(_matrix(params["to_world"]), "the sensor's to_world")
-    else:
-        world_from_camera = se3.as_pose(pose)
-    radiance = _find_integrator(loaded, integrator)
-    try:
-        if size is not None:
-            params["film.size"] = mi.ScalarVector2u(*_checked_size(size))
-            params.update()
-        params["to_world"] = mi.Transform4f()
-        params.update()
-        width, height = camera.film().crop_size()
-        size = int(width), int(height)
-        yield View(loaded, camera, radiance, world_from_camera, size, variable, label, recorder)
-    finally:
-        # A new film size resets the crop window, so the window goes back in a second update.
-        params["film.size"] = before["film.size"]
-        params["to_world"] = before["to_world"]
-        params.update()
-        params["film.crop_size"] = before["film.crop_size"]
-        params["film.crop_offset"] = before["film.crop_offset"]
-        params.update()
+        recorder = Recorder(loaded)
+        if _kept and _kept[0][1].fits(recorder):
+            recorder = _kept[0][1]
+        _kept[:] = [(loaded, recorder)] if loaded is scene else []
+        camera, variable = _find_sensor(loaded, sensor)
+        _check_film(camera.film())
+        radiance = _find_integrator(loaded, integrator)
+        with at_identity(camera, variable, size) as to_world:
+            world_from_camera = (
+                _rigid(to_world, "the sensor's to_world") if pose is None else se3.as_pose(pose)
+            )
+            width, height = camera.film().crop_size()
+            size = int(width), int(height)
+            yield View(loaded, camera, radiance, world_from_camera, size, variable, label, recorder)
 
 
 def as_scene(scene: Any) -> tuple[mi.Scene, str]:
@@ -245,7 +230,8 @@ def as_scene(scene: Any) -> tuple[mi.Scene, str]:
         SceneError: it is none of these, cannot be loaded, or has a mesh without faces.
     """
     use_mitsuba()
-    loaded, label = _loaded(scene)
+    with turns:
+        loaded, label = _loaded(scene)
     for shape in loaded.shapes():
         if shape.is_mesh() and not shape.face_count():
             raise SceneError(f"mesh {shape.id()} has no faces, which Mitsuba cannot trace; remove it")
@@ -349,20 +335,6 @@ def _find_integrator(scene: mi.Scene, integrator: Any) -> mi.SamplingIntegrator:
             "that does (integrator='path')"
         )
     return found
-
-
-def _checked_size(size: tuple[int, int]) -> tuple[int, int]:
-    try:
-        width, height = (int(value) for value in size)
-    except (TypeError, ValueError) as error:
-        raise OptionError(f"size must be two whole numbers, width and height; got {size!r}") from error
-    if width <= 0 or height <= 0:
-        raise OptionError(f"size must be positive; got {width}x{height}")
-    return width, height
-
-
-def _matrix(transform: Any) -> NDArray[np.float64]:
-    return np.array(transform.matrix, dtype=np.float64).reshape(4, 4, -1)[:, :, 0]
 
 
 def _rigid(matrix: NDArray[np.float64], name: str) -> NDArray[np.float64]:

@@ -35,6 +35,7 @@ from .bundle import FEWEST_POINTS, Pinhole, PointView, point_information
 from .errors import NoiseError, OptionError, PixelsError, PointsError, SensorError
 from .information import FisherInformation, InformationAccumulator
 from .jacobian.pixels import camera_ray, download, move_ray, opaque_transform, upload
+from .lending import in_turn
 from .measure import Measurement, MeasurementOptions, TileJacobian, measurement
 from .noise import CoupledNoise, NoiseModel
 from .se3 import Array
@@ -79,6 +80,7 @@ class FeatureTracks:
         return point_information(self.points, self.view)
 
 
+@in_turn
 def feature_tracks(
     scene: Any,
     noise: NoiseModel | None = None,
@@ -139,6 +141,7 @@ def feature_tracks(
     )
 
 
+@in_turn
 def see_points(
     points: ArrayLike,
     scene: Any,

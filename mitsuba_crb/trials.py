@@ -31,6 +31,7 @@ from .consistency import Consistency, consistency
 from .errors import OutOfViewError, PrecisionWarning, TrialError
 from .files import atomic
 from .information import ImageJacobian, fisher_information
+from .lending import in_turn
 from .measure import MeasurementOptions, measurement
 from .noise import Gaussian
 from .processes import each
@@ -227,6 +228,7 @@ def validate(
     return _judge(settings, ordered, jacobian, noise, confidence)
 
 
+@in_turn
 def _expected(
     scene: Any, sigma: float | None, options: MeasurementOptions
 ) -> tuple[Anchor, ImageJacobian, float, dict[str, str]]:

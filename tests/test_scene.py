@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,7 @@ import numpy as np
 import pytest
 from small_scenes import T, camera, scene, textured_wall, wall
 
-from mitsuba_crb import se3
+from mitsuba_crb import pose_bound, se3
 from mitsuba_crb.errors import (
     FilmError,
     IntegratorError,
@@ -20,6 +22,7 @@ from mitsuba_crb.errors import (
     SceneError,
     SensorError,
 )
+from mitsuba_crb.noise import Gaussian
 from mitsuba_crb.scene import View, load_scene, open_view
 
 SENSOR = '<sensor type="perspective"><film type="hdrfilm"/></sensor>'
@@ -176,6 +179,92 @@ def test_the_scene_is_as_before_afterwards_even_after_an_error() -> None:
     with pytest.raises(ZeroDivisionError):
         fail()
     assert str(loaded.sensors()[0]) == before
+
+
+@pytest.mark.parametrize("failing", range(3))
+def test_the_scene_is_as_before_after_a_failure_while_it_is_set_or_restored(
+    failing: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cropped = camera(64, 48)
+    cropped["film"] |= {"crop_width": 20, "crop_height": 10, "crop_offset_x": 3, "crop_offset_y": 5}
+    loaded = mi.load_dict(scene(wall=wall(), sensor=cropped))
+    before = str(loaded.sensors()[0])
+    update, calls = mi.SceneParameters.update, iter(range(100))
+
+    def fail_once(parameters: Any, *arguments: Any) -> Any:
+        if next(calls) == failing:
+            raise KeyboardInterrupt
+        return update(parameters, *arguments)
+
+    monkeypatch.setattr(mi.SceneParameters, "update", fail_once)
+    with pytest.raises(KeyboardInterrupt):
+        _open(loaded, size=(8, 8))
+    assert str(loaded.sensors()[0]) == before
+    assert _open(loaded).size == (20, 10)
+
+
+def test_a_sensor_that_is_in_use_is_refused_not_read_at_the_identity() -> None:
+    loaded = mi.load_dict(textured_wall())
+    shared = mi.load_dict(scene(sensor=loaded.sensors()[0], wall=wall()))
+    with open_view(loaded) as view:
+        for other in (loaded, shared, loaded):
+            with pytest.raises(SensorError, match=r"sensor camera .*in use.*load the scene again"):
+                _open(other)
+    assert _open(shared).pose == pytest.approx(view.pose)
+    assert not np.allclose(view.pose, np.eye(4))
+
+
+def test_two_sensors_of_one_scene_are_open_together_unless_a_film_they_share_is_resized() -> None:
+    first, second = camera(target=(0.1, 0.2, 3)), camera(target=(-0.3, 0.1, 3)) | {"id": "other"}
+    expected = [pytest.approx(np.array(kind["to_world"].matrix), abs=1e-6) for kind in (first, second)]
+    loaded = mi.load_dict(scene(sensor=first, other=second))
+    # Mitsuba makes equal films one.
+    assert len({sensor.film().ptr for sensor in loaded.sensors()}) == 1
+    with open_view(loaded, sensor="camera") as a, open_view(loaded, sensor="other") as b:
+        assert [a.pose, b.pose] == expected
+        with pytest.raises(SensorError, match="sensor other is in use: "):
+            _open(loaded, sensor="other")
+    for sizes in ((None, (8, 6)), ((8, 6), None), ((8, 6), (8, 6))):
+        with (
+            open_view(loaded, sensor="camera", size=sizes[0]),
+            pytest.raises(SensorError, match=r"sensor other .*shares its film"),
+        ):
+            _open(loaded, sensor="other", size=sizes[1])
+    second["film"] = second["film"] | {"width": 30}
+    apart = mi.load_dict(scene(sensor=first, other=second))
+    with open_view(apart, sensor="camera", size=(8, 6)) as a, open_view(apart, sensor="other") as b:
+        assert [a.pose, b.pose] == expected
+        assert (a.size, b.size) == ((8, 6), (30, 24))
+
+
+def test_threads_take_turns_with_a_sensor() -> None:
+    loaded = mi.load_dict(textured_wall())
+    expected = _open(loaded).pose
+
+    def pose(_: int) -> Any:
+        with open_view(loaded) as view:
+            time.sleep(0.01)
+            return view.pose
+
+    with ThreadPoolExecutor(4) as pool:
+        assert all(np.array_equal(found, expected) for found in pool.map(pose, range(8)))
+
+
+def test_threads_that_measure_one_scene_get_the_bits_of_one_thread() -> None:
+    """Also while one of them sets the scene's parameters for its finite differences."""
+    first, second = camera(16, 12), camera(16, 12, target=(0.5, 0.1, 3)) | {"id": "other"}
+    loaded = mi.load_dict(textured_wall(sensor=first, other=second))
+
+    def information(sensor: str) -> Any:
+        unknown = ["fov"] if sensor == "other" else []
+        bound = pose_bound(loaded, Gaussian(0.01), sensor=sensor, spp=16, nuisances=unknown)
+        return bound.information.matrix
+
+    jobs = ["camera", "other"] * 3
+    expected = [information(sensor) for sensor in jobs]
+    with ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(information, jobs))
+    assert all(np.array_equal(a, b) for a, b in zip(found, expected, strict=True))
 
 
 def test_a_pose_replaces_to_world_without_touching_the_scene() -> None:
