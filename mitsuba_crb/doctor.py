@@ -7,7 +7,6 @@ its own that reports stage by stage, so that even its sudden end is a finding.
 from __future__ import annotations
 
 import importlib.metadata
-import os
 import platform
 import signal
 import subprocess
@@ -18,6 +17,7 @@ from typing import NamedTuple
 
 from . import __version__, llvm
 from .errors import LLVMError
+from .processes import cores
 
 _PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR")
 _STAGES = ("Mitsuba loads", "float type", "16x16 bound")
@@ -58,7 +58,7 @@ def diagnose() -> Diagnosis:
     rows = [
         Row("Python", f"{platform.python_version()} ({sys.executable})", True),
         Row("platform", platform.platform(), True),
-        Row("cores", str(_cores()), True),
+        Row("cores", str(cores()), True),
         Row("mitsuba_crb", __version__, True),
         *map(_package, _PACKAGES),
     ]
@@ -151,10 +151,3 @@ def _package(name: str) -> Row:
         return Row(name, importlib.metadata.version(name), True)
     except importlib.metadata.PackageNotFoundError:
         return Row(name, f"not installed: pip install {name}", False)
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

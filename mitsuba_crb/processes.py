@@ -20,6 +20,23 @@ from .errors import OptionError, WorkerError
 
 T = TypeVar("T")
 
+_share: list[int] = []
+"""In a worker: how many cores it has for itself."""
+
+
+def cores() -> int:
+    """How many cores this process may use: those that it may run on; in a worker, its share of them."""
+    if _share:
+        return _share[0]
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def is_worker() -> bool:
+    """Whether this process was started by `each`."""
+    return bool(_share)
+
 
 def each(work: Callable[[Any], T], jobs: Sequence[Any], workers: int | None) -> Iterator[tuple[int, T]]:
     """The index and the result of every job, as they end.
@@ -27,7 +44,7 @@ def each(work: Callable[[Any], T], jobs: Sequence[Any], workers: int | None) -> 
     Args:
         work: a function of a module; it and the jobs are pickled.
         jobs: its arguments.
-        workers: processes; None: one per job, but no more than there are cores. 1 spawns none.
+        workers: processes, which share the cores; None: one per job, but no more than cores. 1 spawns none.
 
     Raises:
         OptionError: fewer than one worker.
@@ -36,11 +53,12 @@ def each(work: Callable[[Any], T], jobs: Sequence[Any], workers: int | None) -> 
     """
     if workers is not None and workers < 1:
         raise OptionError(f"there must be at least one worker process, not {workers}")
-    count = min(len(jobs), workers or os.cpu_count() or 1)
+    count = min(len(jobs), workers or cores())
     if count <= 1:
         yield from ((index, work(job)) for index, job in enumerate(jobs))
         return
-    with ProcessPoolExecutor(count, get_context("spawn"), initializer=_die_quietly) as pool:
+    share = max(1, cores() // count)
+    with ProcessPoolExecutor(count, get_context("spawn"), initializer=_begin, initargs=(share,)) as pool:
         with _interrupts_ignored():
             futures = {pool.submit(work, job): index for index, job in enumerate(jobs)}
         try:
@@ -68,7 +86,8 @@ def _interrupts_ignored() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _die_quietly() -> None:
+def _begin(share: int) -> None:
+    _share[:] = [share]
     # Ctrl-C reaches all processes of a terminal: the parent says so, once.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     # A parent that is killed cannot say so: its workers would wait for ever.

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import llvm, se3
+from . import llvm, processes, se3
 from .errors import FilmError, IntegratorError, PoseError, SceneError, SensorError, VariantError
 from .lending import at_identity, turns
 
@@ -45,7 +45,7 @@ _NO_RADIANCE = {
 
 
 def use_mitsuba() -> None:
-    """Find an LLVM, import Mitsuba and select `llvm_ad_rgb` if no variant is set.
+    """Find an LLVM, import Mitsuba, select `llvm_ad_rgb` if no variant is set; a worker keeps to its cores.
 
     Raises:
         LLVMError: no usable LLVM.
@@ -66,6 +66,24 @@ def use_mitsuba() -> None:
             f"Mitsuba already runs in variant {mi.variant()}, and {VARIANT} is needed: call "
             f"mitsuba.set_variant('{VARIANT}') before loading scenes"
         )
+    if processes.is_worker():
+        import drjit as dr
+
+        dr.set_thread_count(processes.cores())
+
+
+@contextlib.contextmanager
+def _loading() -> Iterator[None]:
+    """A turn with two threads at least: with one, Mitsuba 3.9 waits for ever for what reads OpenEXR files."""
+    import drjit as dr
+
+    with turns:
+        threads = dr.thread_count()
+        dr.set_thread_count(max(2, threads))
+        try:
+            yield
+        finally:
+            dr.set_thread_count(threads)
 
 
 def load_scene(path: str | os.PathLike[str], /, **defines: str) -> mi.Scene:
@@ -83,7 +101,7 @@ def load_scene(path: str | os.PathLike[str], /, **defines: str) -> mi.Scene:
     if not file.is_file():
         raise SceneError(f"no scene file at {file}")
     try:
-        with turns:
+        with _loading():
             scene = mi.load_file(str(file), **{key: str(value) for key, value in defines.items()})
     except Exception as error:  # Mitsuba raises RuntimeError and others for a bad scene file
         raise SceneError(_parser_message(error, file)) from error
@@ -230,7 +248,7 @@ def as_scene(scene: Any) -> tuple[mi.Scene, str]:
         SceneError: it is none of these, cannot be loaded, or has a mesh without faces.
     """
     use_mitsuba()
-    with turns:
+    with _loading():
         loaded, label = _loaded(scene)
     for shape in loaded.shapes():
         if shape.is_mesh() and not shape.face_count():

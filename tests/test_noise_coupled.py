@@ -179,3 +179,13 @@ def test_512_x_512_pixels_are_solved_in_little_memory():
     solved = noise.Stationary(TENT).solve(np.stack([x, y], axis=1), values)
     assert np.isfinite(solved).all()
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < 2e6
+
+
+@pytest.mark.parametrize("name", ["stationary", "periodic"])
+def test_the_number_of_cores_changes_no_bit(name, monkeypatch):
+    model, values = CASES[name][0], RNG.normal(size=(len(PIXELS), 3, 6))
+    solved = []
+    for count in (1, 2, 5):
+        monkeypatch.setattr(noise.stationary, "cores", lambda count=count: count)
+        solved.append(model.solve(PIXELS, values))
+    assert np.all(solved[0] == solved)

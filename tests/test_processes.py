@@ -1,4 +1,4 @@
-"""Worker processes end with their parent, however it ends."""
+"""Worker processes share the cores, and end with their parent, however it ends."""
 
 from __future__ import annotations
 
@@ -9,7 +9,14 @@ import sys
 import time
 from pathlib import Path
 
+import drjit as dr
+import numpy as np
 import pytest
+from small_scenes import camera, scene, wall
+
+from mitsuba_crb import pose_bound, processes
+from mitsuba_crb.noise import Gaussian
+from mitsuba_crb.scene import use_mitsuba
 
 PARENT = """
 import os, time
@@ -51,3 +58,46 @@ def test_workers_of_a_killed_parent_end(tmp_path: Path, number: signal.Signals) 
         for worker in left:
             os.kill(worker, signal.SIGKILL)
     assert not left
+
+
+def _cores_and_threads(_: int) -> tuple[int, int, int]:
+    use_mitsuba()
+    return os.getpid(), processes.cores(), dr.thread_count()
+
+
+@pytest.mark.parametrize(("cores", "share"), [(7, 3), (1, 1)])
+def test_workers_share_the_cores(cores: int, share: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "cores", lambda: cores)
+    before = dr.thread_count()
+    found = [seen for _, seen in processes.each(_cores_and_threads, range(2), 2)]
+    assert [seen[1:] for seen in found] == [(share, share)] * 2
+    assert os.getpid() not in [seen[0] for seen in found]
+    assert dr.thread_count() == before
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="cores cannot be forbidden here")
+def test_only_cores_that_the_process_may_run_on_count() -> None:
+    """So that on one of them nothing is spawned."""
+    code = (
+        "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
+        "from mitsuba_crb.processes import cores, each\n"
+        "assert cores() == 1\n"
+        "assert list(each(lambda job: os.getpid(), [0, 1], None)) == [(0, os.getpid()), (1, os.getpid())]\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.BlindSpotWarning")
+@pytest.mark.parametrize("method", ["flow", "forward", "finite_difference"])
+def test_the_number_of_threads_changes_no_bit(method: str) -> None:
+    box = {"type": "cube", "to_world": camera(origin=(0.3, 0.2, 4), target=(1, 2, 5))["to_world"]}
+    before, found = dr.thread_count(), []
+    try:
+        for threads in (1, 2, 5):
+            dr.set_thread_count(threads)
+            bound = pose_bound(scene(wall=wall(depth=6.0), box=box), Gaussian(0.01), method=method, spp=16)
+            found.append(bound.information.matrix)
+    finally:
+        dr.set_thread_count(before)
+    assert np.all(found[0] == found)

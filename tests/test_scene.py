@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -78,6 +80,28 @@ def test_a_malformed_file_is_named_with_its_line_and_a_cure(
     message = _message(error)
     for part in [str(path), *expected]:
         assert part in message
+
+
+@pytest.mark.parametrize(
+    "load", ["load_scene", "lambda file: as_scene({'type': 'scene', 'wall': wall(file)})"]
+)
+def test_a_scene_with_an_openexr_texture_loads_on_one_core(load: str, scenes: Path) -> None:
+    """Mitsuba alone never comes back: in a process of its own."""
+    code = (
+        "import drjit as dr\n"
+        "from mitsuba_crb.scene import as_scene, load_scene, use_mitsuba\n"
+        "def wall(file):\n"
+        "    image = {'type': 'bitmap', 'filename': file.replace('warehouse.xml', 'cartons.exr')}\n"
+        "    return {'type': 'rectangle', 'bsdf': {'type': 'diffuse', 'reflectance': image}}\n"
+        "use_mitsuba()\n"
+        "dr.set_thread_count(1)\n"
+        f"({load})({str(scenes / 'warehouse' / 'warehouse.xml')!r})\n"
+        "print(dr.thread_count())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=30, check=True
+    )
+    assert done.stdout == "1\n"
 
 
 def test_a_missing_file_a_folder_and_a_scene_without_scene_are_told_apart(tmp_path: Path) -> None:

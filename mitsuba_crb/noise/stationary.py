@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
 from ..errors import NoiseError
+from ..processes import cores
 from .parameters import array
 from .protocol import Array, CoupledNoise
 
@@ -180,8 +181,8 @@ def _solve(spectrum: Array, grid: list[int], pixels: NDArray[np.integer], values
     def filtered(columns: Array, transfer: Array) -> Array:
         image = np.zeros((len(columns), grid[0] * grid[1]))
         image[:, index] = columns
-        waves = fft.rfft2(image.reshape(-1, *grid), workers=2)
-        image = fft.irfft2(waves * transfer, s=tuple(grid), workers=2).reshape(len(columns), -1)
+        waves = fft.rfft2(image.reshape(-1, *grid), workers=cores())
+        image = fft.irfft2(waves * transfer, s=tuple(grid), workers=cores()).reshape(len(columns), -1)
         return np.asarray(image[:, index], dtype=np.float64)
 
     columns = values.reshape(n, C * m).T
