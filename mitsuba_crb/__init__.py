@@ -1,12 +1,15 @@
 """How precisely could any algorithm estimate this camera's pose from this image of this scene?
 
-The public API, loaded on first use (PEP 562), so that the NumPy half imports without Mitsuba.
+The public API, loaded on first use (PEP 562), so that the NumPy half imports without Mitsuba. If Mitsuba is
+imported after this package, Dr.Jit finds an LLVM.
 """
 
 from __future__ import annotations
 
 import importlib
 from typing import TYPE_CHECKING, Any
+
+from . import pip_llvm
 
 if TYPE_CHECKING:
     from . import errors as errors
@@ -36,6 +39,8 @@ if TYPE_CHECKING:
     from .tiles import Budget as Budget
     from .trials import validate as validate
     from .validation import check_jacobian as check_jacobian
+
+pip_llvm.name_to_drjit()
 
 __version__ = "0.1.0"
 

@@ -3,7 +3,7 @@
 Dr.Jit loads LLVM on its first import, from `DRJIT_LIBLLVM_PATH` or else from wherever the system has one,
 and never looks again. With LLVM 14 it switches itself off; with 15 and 16 it starts, and the first kernel
 that takes a minimum ends the process ("LLVM ERROR: Cannot select: fminimum", x86-64). So the choice is made
-here.
+here; what `import mitsuba_crb` has named before, by `pip_llvm`, is asked here whether it works.
 
 A library's version is asked of the library itself, in a short process of its own: file names may carry none
 or a wrong one, some libraries do not load at all, and two LLVMs in one process can clash.
@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import functools
 import glob
-import importlib.metadata
 import os
 import platform
 import re
@@ -25,16 +24,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from .errors import LLVMError
+from .pip_llvm import PACKAGE, VARIABLE, libraries
 
 MINIMUM = 17
 """The oldest LLVM that works: with Mitsuba 3.9 and Dr.Jit 1.5, 17 to 23 render and differentiate alike."""
 
 _NEED = f"Dr.Jit needs LLVM {MINIMUM} or newer"
 
-VARIABLE = "DRJIT_LIBLLVM_PATH"
-"""The environment variable from which Dr.Jit takes the path of its LLVM library."""
-
-_PIP_PACKAGE = "karellen-llvm-core"
 _PIP_PLATFORM = ("Linux", "x86_64")
 
 _NAME = re.compile(
@@ -58,7 +54,7 @@ _FOLDERS = {
     "Windows": (r"C:\Program Files\LLVM\bin",),
 }
 _HOW_TO_INSTALL = {
-    _PIP_PLATFORM: f"pip install {_PIP_PACKAGE}",
+    _PIP_PLATFORM: f"pip install {PACKAGE}",
     ("Linux", "aarch64"): "apt install libllvm19, or your distribution's LLVM",
     ("Darwin", "arm64"): "brew install llvm",
     ("Darwin", "x86_64"): "brew install llvm",
@@ -75,8 +71,8 @@ library.LLVMGetVersion(*map(ctypes.byref, version))
 sys.stdout.write(".".join(str(number.value) for number in version))
 """
 
-_origins: dict[str, str] = {}
-"""Where the paths came from that this module wrote into the environment."""
+_origins = dict.fromkeys(libraries(), PACKAGE)
+"""Where the paths come from that this package writes into the environment."""
 
 
 @dataclass(frozen=True)
@@ -103,8 +99,8 @@ class _Candidate:
 def configure() -> LLVMLibrary:
     """Choose the LLVM library that Dr.Jit is to load, before the first `import drjit` or `import mitsuba`.
 
-    Honours `DRJIT_LIBLLVM_PATH`; else takes the newest of the libraries that pip, the Python environment and
-    the system have, and writes its path there. If Dr.Jit is imported already, checks what it has loaded.
+    Honours `DRJIT_LIBLLVM_PATH`; else takes pip's library, or the newest of those that the Python environment
+    and the system have, and writes its path there. If Dr.Jit is imported already, checks what it has loaded.
     Further calls cost next to nothing.
 
     Raises:
@@ -115,7 +111,8 @@ def configure() -> LLVMLibrary:
     if drjit is not None:
         return _loaded_by(drjit)
     named = os.environ.get(VARIABLE)
-    if named:
+    by_user = named and _origins.get(named) != PACKAGE
+    if named and (by_user or not _ask(named)[1]):
         return _named(named)
     library, rejected = _newest()
     if library is None:
@@ -149,10 +146,12 @@ def _loaded_by(drjit: Any) -> LLVMLibrary:
             if numbers[0] > 0
             else "found no usable LLVM (its warning on import says why)"
         )
-        cure = _cure(
-            "Before importing drjit or mitsuba call mitsuba_crb.llvm.configure(), "
-            f"or start Python with {VARIABLE}="
+        first = (
+            "Import mitsuba_crb before drjit and mitsuba ('import mitsuba_crb  # isort: split')"
+            if PACKAGE in _origins.values()
+            else "Before importing drjit or mitsuba call mitsuba_crb.llvm.configure()"
         )
+        cure = _cure(f"{first}, or start Python with {VARIABLE}=")
         raise LLVMError(f"Dr.Jit {got}; {_NEED}. {cure}")
     origin = VARIABLE if path == os.environ.get(VARIABLE) else "Dr.Jit"
     return LLVMLibrary(path, version, _origins.get(path, origin))
@@ -171,7 +170,7 @@ def _newest() -> tuple[LLVMLibrary | None, list[str]]:
         version, fault = _ask(candidate.path)
         if not fault:
             return LLVMLibrary(candidate.path, version, candidate.origin), rejected
-        if not version and candidate.origin == _PIP_PACKAGE:
+        if not version and candidate.origin == PACKAGE:
             # its links are made by the first Python that starts after pip, if that may write there
             fault += " (start Python once as the user who installed it)"
         rejected.append(f"{candidate.path}: {fault}")
@@ -191,7 +190,7 @@ def _ask(path: str) -> tuple[str, str]:
 
 
 def _candidates() -> list[_Candidate]:
-    """Every LLVM library in the usual places, once each, newest name first and pip's before its equals.
+    """Every LLVM library in the usual places, once each, pip's first, then the newest name first.
 
     A library whose name tells no version comes last: it is usually a link to one whose name does.
     """
@@ -200,18 +199,13 @@ def _candidates() -> list[_Candidate]:
         real = os.path.realpath(path)
         if os.path.isfile(real) and _NAME.fullmatch(os.path.basename(path)):
             found.setdefault(real, _Candidate(real, origin, _claim(path)))
-    return sorted(found.values(), key=lambda candidate: candidate.claim, reverse=True)
+    return sorted(found.values(), key=lambda found: (found.origin == PACKAGE, found.claim), reverse=True)
 
 
 def _places() -> Iterator[tuple[str, str]]:
     """Paths that may be LLVM libraries, and who put them there."""
-    try:
-        files = importlib.metadata.distribution(_PIP_PACKAGE).files or []
-    except importlib.metadata.PackageNotFoundError:
-        files = []
-    for file in files:
-        if _NAME.fullmatch(file.name):
-            yield str(file.locate()), _PIP_PACKAGE
+    for path in libraries():
+        yield path, PACKAGE
     for folder in ("lib", os.path.join("Library", "bin")):
         for path in glob.glob(os.path.join(glob.escape(sys.prefix), folder, "*LLVM*")):
             yield path, "Python environment"

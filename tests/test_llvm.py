@@ -32,6 +32,12 @@ print(llvm.configure())
 {RENDER}
 print(llvm.configure())
 """
+PACKAGE_FIRST = f"""
+import mitsuba_crb
+{RENDER}
+from mitsuba_crb import llvm
+print(llvm.configure())
+"""
 MITSUBA_FIRST = """
 import mitsuba
 from mitsuba_crb import llvm
@@ -239,6 +245,71 @@ def test_pip_alone_brings_a_library():
     found = [candidate for candidate in llvm._candidates() if candidate.origin == "karellen-llvm-core"]
     assert found
     assert found[0].claim >= (llvm.MINIMUM,)
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="the package is for x86-64")
+def test_importing_the_package_before_mitsuba_is_enough():
+    done = run(PACKAGE_FIRST, None)
+    assert done.returncode == 0, done.stderr
+    assert "origin='karellen-llvm-core'" in done.stdout
+
+
+def test_importing_the_package_is_cheap():
+    """No subprocess, no metadata, nothing heavy: what `import mitsuba_crb` adds to a bare Python."""
+    done = run(
+        "import sys\nbefore = set(sys.modules)\nimport mitsuba_crb\nprint(*(set(sys.modules) - before))", None
+    )
+    added = set(done.stdout.split())
+    assert "mitsuba_crb" in added
+    heavy = {"numpy", "scipy", "mitsuba", "drjit", "subprocess", "dataclasses", "importlib.metadata", "email"}
+    assert not added & heavy
+
+
+@pytest.mark.parametrize("path", ["/nowhere/libLLVM.so", None])
+def test_importing_the_package_leaves_the_users_choice_and_a_loaded_drjit_alone(path):
+    code = f"import os, sys\n{{}}\nimport mitsuba_crb\nprint(os.environ.get({llvm.VARIABLE!r}))"
+    loaded = "sys.modules['drjit'] = sys" if path is None else ""
+    assert run(code.format(loaded), path).stdout.strip() == str(path)
+
+
+@pytest.fixture
+def pips(fake, places, monkeypatch):
+    """Makes a library that answers so the one that pip installed, as `import mitsuba_crb` names it."""
+
+    def install(version, *others):
+        library = fake("libLLVM.so.23.1", version)
+        monkeypatch.setattr(llvm, "_origins", {library: "karellen-llvm-core"})
+        monkeypatch.setattr(
+            llvm, "_places", lambda: [(library, "karellen-llvm-core"), *((path, "system") for path in others)]
+        )
+        monkeypatch.setenv(llvm.VARIABLE, library)
+        return library
+
+    return install
+
+
+def test_pips_library_is_chosen_before_newer_ones_whoever_is_imported_first(fake, pips, monkeypatch):
+    library = pips((23, 1, 4), fake("libLLVM.so.99.1", (99, 1, 0)))
+    expected = llvm.LLVMLibrary(library, "23.1.4", "karellen-llvm-core")
+    assert llvm.configure() == expected
+    monkeypatch.delenv(llvm.VARIABLE)
+    assert llvm.configure() == expected
+
+
+def test_pips_library_that_does_not_work_gives_way(fake, pips):
+    works = fake("libLLVM.so.19.1", (19, 1, 7))
+    pips((16, 0, 6), works)
+    assert llvm.configure() == llvm.LLVMLibrary(works, "19.1.7", "system")
+    assert os.environ[llvm.VARIABLE] == works
+
+
+def test_the_refusal_of_what_drjit_loaded_says_what_to_import_first(fake, pips, monkeypatch):
+    pips((23, 1, 4))
+    monkeypatch.delenv(llvm.VARIABLE)
+    loaded = SimpleNamespace(detail=SimpleNamespace(llvm_version=lambda: (15, 0, 7)))
+    monkeypatch.setitem(sys.modules, "drjit", loaded)
+    with pytest.raises(LLVMError, match=r"Import mitsuba_crb before drjit and mitsuba.*isort: split"):
+        llvm.configure()
 
 
 def test_the_chosen_library_is_the_one_that_renders():
