@@ -161,11 +161,16 @@ def _check_targets(targets: dict[str, Path | None], inputs: list[Path]) -> None:
 
 @contextmanager
 def _collected() -> Iterator[list[str]]:
-    """Collect warnings, each once, instead of having them printed Python's way."""
+    """Collect warnings, each once, instead of having them printed Python's way; say them of what fails."""
     texts: list[str] = []
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        yield texts
+        try:
+            yield texts
+        except BaseException:
+            for text in dict.fromkeys(str(warning.message) for warning in caught):
+                complain(f"note: {text}")
+            raise
         texts += dict.fromkeys(str(warning.message) for warning in caught)
 
 
@@ -407,7 +412,7 @@ def fuse(
         from .report import print_fusion, progress
         from .team_measure import fuse_team
 
-        with progress() as advance:
+        with _collected(), progress() as advance:  # the bounds' provenance repeats them
             result = fuse_team(team, workers=workers, on_agent=advance)
         try:
             if json_file is not None:
@@ -453,7 +458,7 @@ def select(
 
         if plot_folder is not None:
             check_folder(plot_folder, "--plot")
-        with progress() as advance:
+        with _collected(), progress() as advance:  # the selection repeats them
             result = select_team(team, limits, objective=objective, workers=workers, on_agent=advance)
         try:
             if json_file is not None:

@@ -136,32 +136,35 @@ def pose_bound(
         NuisanceWarning: the image does not see a nuisance.
     """
     start = time.perf_counter()
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        with measurement(scene, nuisances=nuisances, **options) as run:
-            model, origin = run.noise(noise)
-            model.check(run.mask.shape[0], run.mask.shape[1], 3)
-            run.warn_of_limits()
-            prepared = time.perf_counter()
-            accumulator = JointAccumulator(
-                run.parameters,
-                batches=run.batches,
-                block=run.block,
-                sampled=run.selection.kind == "random",
-                coupled=model.couples_pixels,
-            )
-            run.feed(accumulator, model)
-            joint = accumulator.information(
-                variable=run.view.variable,
-                pose=run.view.pose,
-                length_scale=run.length_scale,
-                selection=run.selection,
-            )
-        rendered = time.perf_counter()
-        alone = joint.marginalize()
-        bound = joint_bound(alone, prior=prior)
-    for warning in caught:
-        warnings.warn(warning.message, warning.category, stacklevel=3)
+    caught: list[warnings.WarningMessage] = []
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            with measurement(scene, nuisances=nuisances, **options) as run:
+                model, origin = run.noise(noise)
+                model.check(run.mask.shape[0], run.mask.shape[1], 3)
+                run.warn_of_limits()
+                prepared = time.perf_counter()
+                accumulator = JointAccumulator(
+                    run.parameters,
+                    batches=run.batches,
+                    block=run.block,
+                    sampled=run.selection.kind == "random",
+                    coupled=model.couples_pixels,
+                )
+                run.feed(accumulator, model)
+                joint = accumulator.information(
+                    variable=run.view.variable,
+                    pose=run.view.pose,
+                    length_scale=run.length_scale,
+                    selection=run.selection,
+                )
+            rendered = time.perf_counter()
+            alone = joint.marginalize()
+            bound = joint_bound(alone, prior=prior)
+    finally:
+        for warning in caught:
+            warnings.warn(warning.message, warning.category, stacklevel=3)
     provenance = {
         **run.provenance(),
         "noise": {**model.to_dict(), "description": model.description, "origin": origin},

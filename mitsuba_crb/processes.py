@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -38,7 +38,7 @@ def is_worker() -> bool:
     return bool(_share)
 
 
-def each(work: Callable[[Any], T], jobs: Sequence[Any], workers: int | None) -> Iterator[tuple[int, T]]:
+def each(work: Callable[[Any], T], jobs: Sequence[Any], workers: int | None) -> Generator[tuple[int, T]]:
     """The index and the result of every job, as they end.
 
     Args:

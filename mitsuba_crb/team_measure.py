@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +85,7 @@ def fuse_team(team: Team, *, workers: int | None = None, on_agent: Progress | No
     Raises:
         MitsubaCRBError: as `pose_bound` and `fuse`, the agent named.
     """
-    bounds = _each(_bound, team, workers, on_agent)
+    bounds, _ = _each(_bound, team, workers, on_agent)  # their provenance repeats the warnings
     transforms = team.transforms([bound.information.pose for bound in bounds])
     agents = [
         Agent(member.name, bound.information, transform)
@@ -113,8 +114,8 @@ def select_team(
     Raises:
         MitsubaCRBError: as `tile_information` and `select_tiles`, the agent named.
     """
-    measured = _each(_tiles, team, workers, on_agent)
-    own, images, texts = zip(*measured, strict=True)
+    measured, texts = _each(_tiles, team, workers, on_agent)
+    own, images = zip(*measured, strict=True)
     agents = together(own, team.transforms([tiles.pose for tiles in own]), variable=team.body)
     limits = replace(
         budget,
@@ -136,7 +137,7 @@ def select_team(
         counts=counts,
         agents=tuple(agents),
         images=images,
-        warnings=tuple(dict.fromkeys(text for some in texts for text in some)),
+        warnings=texts,
     )
 
 
@@ -147,51 +148,73 @@ def _per_agent(
     return {name: limit for name, limit in own.items() if limit is not None} if asked is None else asked
 
 
-def _each(measure: Callable[[Job], T], team: Team, workers: int | None, on_agent: Progress | None) -> list[T]:
-    """What is measured of every member, in the team's order."""
+class _Outcome(NamedTuple):
+    """What became of one agent's job, in whichever process; warnings and error name the agent."""
+
+    result: Any
+    warnings: list[Warning]
+    error: MitsubaCRBError | None
+
+
+def _each(
+    measure: Callable[[Job], T], team: Team, workers: int | None, on_agent: Progress | None
+) -> tuple[list[T], tuple[str, ...]]:
+    """What is measured of every member, in the team's order, and what was warned of, each once.
+
+    Warns:
+        If a member fails, of what it has warned before.
+    """
     jobs = [(measure, Job(member, team.options(member), team.tiles)) for member in team.members]
-    results: dict[int, T] = {}
-    for index, result in each(_named, jobs, workers):
-        results[index] = result
-        if on_agent is not None:
-            on_agent(len(results), len(jobs))
-    return [results[index] for index in range(len(jobs))]
+    outcomes: dict[int, _Outcome] = {}
+    with closing(each(_outcome, jobs, workers)) as ended:
+        for index, outcome in ended:
+            if outcome.error is not None:
+                for warning in outcome.warnings:
+                    warnings.warn(warning, stacklevel=3)
+                raise outcome.error
+            outcomes[index] = outcome
+            if on_agent is not None:
+                on_agent(len(outcomes), len(jobs))
+    ordered = [outcomes[index] for index in range(len(jobs))]
+    texts = dict.fromkeys(str(warning) for outcome in ordered for warning in outcome.warnings)
+    return [outcome.result for outcome in ordered], tuple(texts)
 
 
-def _named(work: tuple[Callable[[Job], T], Job]) -> T:
+def _outcome(work: tuple[Callable[[Job], Any], Job]) -> _Outcome:
     measure, job = work
-    try:
-        return measure(job)
-    except MitsubaCRBError as error:
-        raise type(error)(f"agent {job.member.name!r}: {error}") from None
+    result, failure = None, None
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            result = measure(job)
+        except MitsubaCRBError as error:
+            failure = type(error)(f"agent {job.member.name!r}: {error}")
+    named = [warning.category(f"{job.member.name}: {warning.message}") for warning in caught]
+    return _Outcome(result, named, failure)
 
 
 def _bound(job: Job) -> PoseBound:
     member = job.member
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the bound's provenance repeats them
-        return pose_bound(load_scene(member.scene, **member.defines), member.noise, **job.options)
+    return pose_bound(load_scene(member.scene, **member.defines), member.noise, **job.options)
 
 
-def _tiles(job: Job) -> tuple[TileInformation, NDArray[np.float32], list[str]]:
+def _tiles(job: Job) -> tuple[TileInformation, NDArray[np.float32]]:
     member = job.member
     parts: list[tuple[NDArray[np.int64], NDArray[np.float64]]] = []
 
     def on_tile(part: TileJacobian, done: int, total: int) -> None:
         parts.append((part.pixels, part.mean))
 
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        information = tile_information(
-            load_scene(member.scene, **member.defines),
-            member.noise,
-            agent=member.name,
-            on_tile=on_tile,
-            **job.tiles,
-            **job.options,
-        )
+    information = tile_information(
+        load_scene(member.scene, **member.defines),
+        member.noise,
+        agent=member.name,
+        on_tile=on_tile,
+        **job.tiles,
+        **job.options,
+    )
     x, y, width, height = information.tiles.T
     image = np.full((int((y + height).max()), int((x + width).max()), 3), np.nan, np.float32)
     for pixels, mean in parts:
         image[pixels[:, 1], pixels[:, 0]] = mean
-    return information, image, [f"{member.name}: {warning.message}" for warning in caught]
+    return information, image

@@ -240,6 +240,7 @@ def _expected(
         model = run.noise(None if sigma is None else Gaussian(sigma))[0]
         if not isinstance(model, Gaussian):
             raise TrialError("trials need Gaussian noise")
+        run.warn_of_limits()
         image = np.full((1, *run.mask.shape, 3), np.nan)
         image[0, run.mask] = render_pixels(
             run.view, selected(run.mask), spp=run.spp, seed=run.seed, purpose=_EXPECTED

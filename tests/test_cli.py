@@ -88,6 +88,19 @@ def test_table_says_what_a_person_asks(rendered, capsys):
     assert "∞" not in out
 
 
+def test_a_command_that_fails_says_what_it_warned_of(rendered, capsys, monkeypatch):
+    def fail(*_, **__):
+        for _ in range(2):
+            warnings.warn("one thing to know", PrecisionWarning, stacklevel=2)
+        raise SceneError("the scene is at fault")
+
+    monkeypatch.setattr(measure, "pose_bound", fail)
+    assert cli.run(["bound", "room.xml"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.splitlines() == ["mitsuba-crb: note: one thing to know", "mitsuba-crb: the scene is at fault"]
+
+
 def test_table_says_what_is_unseen(rendered, capsys):
     rendered.view = synthetic_view.jacobian(unseen=(1, 5), noise=0.05)
     assert cli.run(["bound", "room.xml"]) == 0

@@ -14,7 +14,7 @@ from PIL import Image
 from small_scenes import T, camera, scene, texture, textured_wall, wall
 
 from mitsuba_crb import cramer_rao_bound, fisher_information, pose_bound, pose_jacobian, se3
-from mitsuba_crb.errors import NoiseError, OptionError, PixelsError, RadianceError
+from mitsuba_crb.errors import BlindSpotWarning, NoiseError, OptionError, PixelsError, RadianceError
 from mitsuba_crb.information import BLOCK
 from mitsuba_crb.jacobian.pixels import render_pixels
 from mitsuba_crb.lint import precision_findings
@@ -223,6 +223,22 @@ def test_radiance_that_is_no_number_is_counted_and_left_out_only_on_request() ->
     assert len(jacobian.pixels) == 768 - count
     assert np.isnan(jacobian.image).any()
     assert np.isfinite(jacobian.values).all()
+
+
+def test_a_measurement_that_fails_has_warned_before() -> None:
+    with pytest.warns(BlindSpotWarning) as caught, pytest.raises(RadianceError):
+        pose_bound(_half_invalid(), SIGMA, integrator=DIRECT, method="forward", spp=4)
+    assert any("silhouettes" in str(warning.message) for warning in caught)
+    assert {warning.filename for warning in caught} == {__file__}
+
+
+@pytest.mark.parametrize("measure", [pose_bound, pose_jacobian])
+def test_warnings_point_at_the_caller(measure: Any) -> None:
+    square = T().translate([0, 0, 2]).rotate([0, 1, 0], 180).scale(0.3)
+    jumps = textured_wall(nearer={**wall(), "to_world": square})
+    with pytest.warns(BlindSpotWarning) as caught:
+        measure(jumps, method="forward", spp=4)
+    assert {warning.filename for warning in caught if warning.category is BlindSpotWarning} == {__file__}
 
 
 def test_the_provenance_says_how_the_numbers_were_made() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from small_scenes import scene as scene_of
 
 from mitsuba_crb import cli, fisher_information, pose_bound, se3, team_measure
 from mitsuba_crb.errors import (
+    BlindSpotWarning,
     ConfigError,
     FrameError,
     MitsubaCRBError,
@@ -221,6 +223,37 @@ class TestProcesses:
         monkeypatch.setattr(team_measure, "_bound", _dies)
         with pytest.raises(WorkerError, match="--workers"):
             fuse_team(load_team(written(tmp_path)), workers=2)
+
+    @pytest.mark.parametrize("workers", [1, 2])
+    def test_an_agent_that_fails_has_warned_before(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int
+    ) -> None:
+        team = load_team(written(tmp_path))
+        for name, measured in (
+            ("_bound", fuse_team),
+            ("_tiles", lambda *a, **k: select_team(*a, Budget(), **k)),
+        ):
+            monkeypatch.setattr(team_measure, name, _warns_and_fails)
+            with (
+                pytest.warns(BlindSpotWarning, match="racks: it sees little"),
+                pytest.raises(SensorError, match="agent 'racks': it is broken"),
+            ):
+                measured(team, workers=workers)
+
+    def test_a_command_of_a_team_that_fails_says_what_it_warned_of(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+    ) -> None:
+        monkeypatch.setattr(team_measure, "_bound", _warns_and_fails)
+        assert cli.run(["fuse", str(written(tmp_path)), "--workers", "1"]) == 2
+        note, error = capsys.readouterr().err.splitlines()
+        assert note == "mitsuba-crb: note: racks: it sees little"
+        assert error == "mitsuba-crb: agent 'racks': it is broken"
+
+
+def _warns_and_fails(job: Any) -> None:
+    if job.member.name == "racks":
+        warnings.warn("it sees little", BlindSpotWarning, stacklevel=2)
+        raise SensorError("it is broken")
 
 
 def _dies(job: Any) -> None:

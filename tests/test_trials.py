@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import textured_wall
+from small_scenes import camera, textured_wall
 
 from mitsuba_crb import trials
 from mitsuba_crb.align import align
 from mitsuba_crb.consistency import Consistency, consistency
-from mitsuba_crb.errors import OptionError, OutOfViewError, TrialError
+from mitsuba_crb.errors import BlindSpotWarning, OptionError, OutOfViewError, TrialError
 from mitsuba_crb.trials import SCHEMA, validate
 
 OPTIONS: dict[str, Any] = {"size": (16, 12), "spp": 32, "sigma": 0.005, "perturb_deg": 0.2, "seed": 5}
@@ -60,6 +60,19 @@ def test_an_interrupted_run_resumes_to_the_same_result(tmp_path: Path) -> None:
     with pytest.raises(TrialError, match=r"integrator = .PathIntegrator.*, not .DirectIntegrator"):
         validate(textured_wall(), trials=8, resume=file, integrator="direct", **OPTIONS)
     assert file.read_bytes() == before
+
+
+def test_what_the_method_cannot_see_is_said_once_even_if_a_trial_fails(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail(*_: Any, **__: Any) -> None:
+        raise OptionError("it failed")
+
+    monkeypatch.setattr(trials, "align", fail)
+    cut = textured_wall(sensor=camera(16, 12) | {"near_clip": 3.0})
+    with pytest.warns(BlindSpotWarning, match="near plane") as caught, pytest.raises(OptionError):
+        validate(cut, trials=8, **OPTIONS)
+    assert len(caught) == 1
 
 
 @pytest.mark.slow
