@@ -146,7 +146,9 @@ def wishart_band(n: int, confidence: float) -> Array:
     depth = np.minimum(ranks, _SIMULATIONS - 1 - ranks).min(axis=1)
     cut = int(np.quantile(depth, 1.0 - confidence))
     ordered = np.sort(eigenvalues, axis=0)
-    return np.stack([ordered[cut], ordered[_SIMULATIONS - 1 - cut]], axis=1)
+    band = np.stack([ordered[cut], ordered[_SIMULATIONS - 1 - cut]], axis=1)
+    band.flags.writeable = False
+    return band
 
 
 def _coverage(squares: Array, level: float, confidence: float) -> Coverage:

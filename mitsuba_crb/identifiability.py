@@ -244,7 +244,9 @@ def _vector(vector: Array) -> str:
 def _standard_normals() -> Array:
     """One sample for every decision, so that the same information gives the same rank."""
     # In stacks of 128, whose products are too small to wake BLAS's threads (see `ustatistic`).
-    return np.random.default_rng(1948).standard_normal((_DRAWS // 128, 128, 21))
+    normals = np.random.default_rng(1948).standard_normal((_DRAWS // 128, 128, 21))
+    normals.flags.writeable = False
+    return normals
 
 
 def _root(covariance: Array) -> Array:

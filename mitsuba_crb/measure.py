@@ -14,7 +14,7 @@ import importlib
 import importlib.metadata
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, cached_property, partial
 from types import ModuleType
 from typing import Any, TypedDict, Unpack
@@ -500,9 +500,13 @@ def _check_options(method: str, spp: int, seed: int, batches: int, tile: int) ->
         raise OptionError(f"tile must be a positive multiple of {BLOCK} pixels; got {tile}")
 
 
-@cache
 def versions() -> dict[str, str]:
     """Versions of everything that the numbers depend on."""
+    return dict(_versions())
+
+
+@cache
+def _versions() -> Mapping[str, str]:
     packages = ("mitsuba_crb", "mitsuba", "drjit", "numpy", "scipy")
     found = {name: importlib.metadata.version(name) for name in packages}
     return {**found, "llvm": llvm.configure().version}

@@ -175,7 +175,10 @@ class PoseGraph:
         whole = sp.coo_array((entries, (rows, columns)), shape=(size, size)).tocsr()
         free = [place[name] + i for name in self.variables for i in range(6)]
         free += range(6 * len(self._poses), size)
-        return whole[free][:, free].tocsc()
+        matrix = whole[free][:, free].tocsc()
+        for stored in (matrix.data, matrix.indices, matrix.indptr):
+            stored.flags.writeable = False
+        return matrix
 
     @cached_property
     def gauges(self) -> tuple[Gauge, ...]:

@@ -183,7 +183,9 @@ class View:
         from .jacobian.pixels import coarse_grid, first_hits
 
         _, depth = first_hits(self, coarse_grid(self.size, 96).reshape(-1, 2))
-        return depth[np.isfinite(depth) & (depth > 0)]
+        visible = depth[np.isfinite(depth) & (depth > 0)]
+        visible.flags.writeable = False
+        return visible
 
     @property
     def near_clip(self) -> float:

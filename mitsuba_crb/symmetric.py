@@ -21,7 +21,9 @@ _RANK_TOLERANCE = 1e-12
 @lru_cache
 def triangle(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows and columns of the entries of a symmetric matrix of this size."""
-    return np.triu_indices(size)
+    rows, columns = np.triu_indices(size)
+    rows.flags.writeable = columns.flags.writeable = False
+    return rows, columns
 
 
 def entries(size: int) -> int:

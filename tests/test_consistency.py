@@ -98,6 +98,11 @@ def test_the_wishart_band_is_a_samples() -> None:
     assert abs(inside - 0.9) < 4.0 * np.sqrt(0.09 / 3000) + 0.005
 
 
+def test_nobody_can_change_the_band_that_the_next_one_gets() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        wishart_band(30, 0.9)[0] = 0.0
+
+
 def test_too_few_errors_and_unseen_directions_are_refused() -> None:
     rng = np.random.default_rng(6)
     information = _information(rng)

@@ -447,6 +447,13 @@ def test_edge_table_follows_the_geometry_not_the_scene_object() -> None:
     assert edge_table(mi.load_dict(scene(box=box(T())))) is not table
 
 
+def test_nobody_can_change_the_edge_table_that_the_next_scene_gets() -> None:
+    table = edge_table(mi.load_dict(scene(box=box())))
+    arrays = [value for value in vars(table).values() if isinstance(value, np.ndarray)]
+    assert arrays
+    assert not any(array.flags.writeable for array in arrays)
+
+
 UNKNOWN: dict[str, dict[str, Any]] = {
     "2 x Instance": {
         "group": {"type": "shapegroup", "ball": {"type": "sphere"}, "block": {"type": "cube"}},

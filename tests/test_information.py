@@ -24,7 +24,7 @@ from mitsuba_crb.information import (
     fisher_information,
     in_squares,
 )
-from mitsuba_crb.symmetric import congruence, pack, positive_part, unpack
+from mitsuba_crb.symmetric import congruence, pack, positive_part, triangle, unpack
 from mitsuba_crb.ustatistic import (
     VarianceComponents,
     disjoint_products,
@@ -846,3 +846,9 @@ def test_squares_come_by_their_number_of_pixels() -> None:
     assert len(set.union(*squares)) == len(squares)
     with pytest.raises(PixelsError, match="twice"):
         in_squares(np.array([[3, 4], [3, 4]]), 8)
+
+
+def test_nobody_can_change_the_entries_order_that_the_next_one_gets():
+    for indices in triangle(6):
+        with pytest.raises(ValueError, match="read-only"):
+            indices[0] = 1

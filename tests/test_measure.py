@@ -18,6 +18,7 @@ from mitsuba_crb.errors import BlindSpotWarning, NoiseError, OptionError, Pixels
 from mitsuba_crb.information import BLOCK
 from mitsuba_crb.jacobian.pixels import render_pixels
 from mitsuba_crb.lint import precision_findings
+from mitsuba_crb.measure import versions
 from mitsuba_crb.noise import (
     Gaussian,
     Heteroscedastic,
@@ -239,6 +240,11 @@ def test_warnings_point_at_the_caller(measure: Any) -> None:
     with pytest.warns(BlindSpotWarning) as caught:
         measure(jumps, method="forward", spp=4)
     assert {warning.filename for warning in caught if warning.category is BlindSpotWarning} == {__file__}
+
+
+def test_nobody_can_change_the_versions_that_the_next_one_gets() -> None:
+    versions()["mitsuba"] = "0"
+    assert versions()["mitsuba"] == mi.__version__
 
 
 def test_the_provenance_says_how_the_numbers_were_made() -> None:

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from rigs import definite, made, noisy, random_pose
+from scipy.sparse.linalg import splu
 
 from mitsuba_crb import joint_state, se3
 from mitsuba_crb.bound import cramer_rao_bound
@@ -55,6 +56,17 @@ class World:
 
 def _close(a, b, tolerance=1e-9):
     return np.abs(a - b).max() < tolerance * np.abs(b).max()
+
+
+def test_nobody_can_change_the_matrix_that_a_graph_keeps():
+    world = World(0)
+    graph = PoseGraph(world.poses, world.links)
+    with pytest.raises(ValueError, match="read-only"):
+        graph.matrix.data[0] = 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        graph.matrix *= 2.0
+    b = np.ones(graph.matrix.shape[0])
+    np.testing.assert_allclose(graph.matrix @ splu(graph.matrix).solve(b), b)
 
 
 class TestAgainstTheDenseInverse:

@@ -297,6 +297,11 @@ def test_a_pose_replaces_to_world_without_touching_the_scene() -> None:
         assert view.pose == pytest.approx(pose)
 
 
+def test_nobody_can_change_the_depths_that_a_view_keeps() -> None:
+    with open_view(textured_wall()) as view, pytest.raises(ValueError, match="read-only"):
+        view.visible_depth[:] = 1.0
+
+
 def test_dictionaries_and_objects_that_are_no_scenes_are_refused() -> None:
     with pytest.raises(SceneError, match="'type': 'scene'"):
         _open({"type": "sphere"})

@@ -75,7 +75,11 @@ def edge_table(scene: mi.Scene) -> EdgeTable:
 
 @functools.lru_cache(maxsize=2)
 def _edge_table(meshes: _Meshes) -> EdgeTable:
-    return EdgeTable.of(meshes.vertices, meshes.faces)
+    table = EdgeTable.of(meshes.vertices, meshes.faces)
+    for stored in vars(table).values():
+        if isinstance(stored, np.ndarray):
+            stored.flags.writeable = False
+    return table
 
 
 def first_faces(scene: mi.Scene) -> Ints:
