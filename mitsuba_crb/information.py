@@ -92,6 +92,13 @@ class PixelSelection:
     description: str
     """As the user gave it: `"all"`, `"random:0.1"`, `"gradient:0.1"`, `"mask.png"`."""
 
+    def only(self, selected: int, description: str | None = None) -> PixelSelection:
+        """So many of these pixels as all that an estimator has, whatever they were chosen to stand for."""
+        if selected == self.total:
+            return PixelSelection("all", self.total, selected, "all")
+        words = self.description if description is None else description
+        return PixelSelection("only", self.total, selected, words)
+
 
 @dataclass(frozen=True, eq=False)
 class ImageJacobian:
@@ -131,6 +138,18 @@ class ImageJacobian:
         """(n, C), the image at the pixels [radiance]."""
         x, y = self.pixels.T
         return np.asarray(self.image[y, x], dtype=np.float64)
+
+    def only(self, mask: NDArray[np.bool_], description: str | None = None) -> ImageJacobian:
+        """Of those of its pixels that are in a mask (H, W); they are all that an estimator has."""
+        x, y = self.pixels.T
+        kept = mask[y, x]
+        return dataclass_replace(
+            self,
+            batch_values=self.batch_values if kept.all() else self.batch_values[:, kept],
+            pixels=self.pixels[kept],
+            image=np.where(mask[..., None], self.image, np.nan),
+            selection=self.selection.only(int(kept.sum()), description),
+        )
 
     def to_frame(self, frame: Frame) -> ImageJacobian:
         """The same derivative with respect to the twist in another frame: J_a = J_b A for ξ_b = A ξ_a."""

@@ -313,12 +313,21 @@ class Measurement:
         """The same measurement of the view from another pose (4, 4)."""
         return dataclasses.replace(self, view=dataclasses.replace(self.view, pose=pose))
 
+    def only(self, mask: NDArray[np.bool_] | None = None, description: str | None = None) -> Measurement:
+        """The same measurement for an estimator that has its pixels and no others; of a mask (H, W), those.
+
+        A random subset does not stand for the whole image then.
+        """
+        mask = self.mask if mask is None else self.mask & mask
+        selection = self.selection.only(int(mask.sum()), description)
+        return dataclasses.replace(self, mask=mask, selection=selection)
+
     def jacobian(self) -> ImageJacobian:
         """The Jacobian of every selected pixel, held at once, row by row."""
         image = np.full((*self.mask.shape, 3), np.nan)
         measured = np.zeros_like(self.mask)
         place = (np.cumsum(self.mask) - 1).reshape(self.mask.shape)
-        values = np.empty((self.batches, self.selection.selected, 3, 6 + len(self.parameters)))
+        values = np.empty((self.batches, int(self.mask.sum()), 3, 6 + len(self.parameters)))
         for part in self.tiles():
             x, y = part.pixels.T
             image[y, x], measured[y, x] = part.mean, True

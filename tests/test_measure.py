@@ -15,10 +15,10 @@ from small_scenes import T, camera, scene, texture, textured_wall, wall
 
 from mitsuba_crb import cramer_rao_bound, fisher_information, pose_bound, pose_jacobian, se3
 from mitsuba_crb.errors import BlindSpotWarning, NoiseError, OptionError, PixelsError, RadianceError
-from mitsuba_crb.information import BLOCK
+from mitsuba_crb.information import BLOCK, PixelSelection
 from mitsuba_crb.jacobian.pixels import render_pixels
 from mitsuba_crb.lint import precision_findings
-from mitsuba_crb.measure import versions
+from mitsuba_crb.measure import versions, measurement
 from mitsuba_crb.noise import (
     Gaussian,
     Heteroscedastic,
@@ -110,6 +110,25 @@ def test_random_pixels_estimate_the_whole_image() -> None:
     assert np.all(error > 3 * np.diag(whole.standard_error))
     every = pose_bound(textured_wall(), SIGMA, pixels="random:1", **FAST).information
     _same(every, whole)
+
+
+def test_a_part_of_a_measurement_is_measured_and_nothing_else() -> None:
+    """Of a part that an estimator takes in one step (Adam's batches) there are no rows beyond its pixels."""
+    with measurement(textured_wall(), pixels="random:0.5", **FAST) as run:
+        whole, part = run.jacobian(), run.mask.copy()
+        part[:12] = False
+        jacobian = run.only(part, "lower half").jacobian()
+        bare = dataclasses.replace(run, mask=part).jacobian()
+    assert jacobian.batch_values.shape[1] == bare.batch_values.shape[1] == len(jacobian.pixels) == part.sum()
+    kept = part[whole.pixels[:, 1], whole.pixels[:, 0]]
+    assert np.array_equal(jacobian.batch_values, whole.batch_values[:, kept])
+    assert np.array_equal(bare.batch_values, jacobian.batch_values)
+    assert jacobian.selection == PixelSelection("only", 768, int(part.sum()), "lower half")
+    assert run.only().selection == PixelSelection("only", 768, 384, "random:0.5")
+    cut = whole.only(part, "lower half")
+    assert np.array_equal(cut.batch_values, jacobian.batch_values)
+    assert np.array_equal(cut.image, jacobian.image, equal_nan=True)
+    assert cut.selection == jacobian.selection
 
 
 def test_noise_scales_the_bound_and_sigma_has_a_stated_default() -> None:
