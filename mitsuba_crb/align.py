@@ -29,18 +29,18 @@ from typing import Any, Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from . import se3
 from .bound import PoseBound, cramer_rao_bound
 from .errors import AlignmentError, NoiseError, OutOfViewError, PrecisionWarning
-from .information import ImageJacobian, PixelSelection, fisher_information
+from .information import ImageJacobian, PixelSelection, fisher_information, as_noise_model
 from .lending import in_turn
 from .measure import Measurement, MeasurementOptions, measurement
 from .noise import CoupledNoise, IndependentNoise, NoiseModel
+from .reduction import pyramid
 from .scene import as_scene, open_view
 from .se3 import Array
-from .subset import is_mask, read_mask, selected
+from .subset import selected
 
 Status = Literal["converged", "diverged", "out of iterations"]
 ESTIMATORS = ("gauss_newton", "levenberg_marquardt", "adam")
@@ -68,8 +68,6 @@ _FIRST, _SECOND = 0.9, 0.999
 """Adam's decay of the mean and of the mean square."""
 _FAR = 1.0
 """A step that turns the camera by more [rad], or moves it by more [length scale], has lost it."""
-_COARSEST = 8
-"""Smallest side of a coarse image [pixel]."""
 _RENDER = 0x414C474E
 """Purpose of the random numbers of R̂."""
 
@@ -92,6 +90,8 @@ class Alignment:
     """Relative excess of the estimate's covariance over the bound from the renderer's own noise."""
     masked: int
     """Pixels left out because the measured image is NaN or infinite there."""
+    invalid: int
+    """Pixels left out because the scene's radiance is, from the estimate (`drop_invalid`)."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ def align(
     Args:
         scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
         image: (H, W, 3) measured linear RGB [radiance]; pixels that are not finite are left out.
-        noise: its noise, independent between pixels.
+        noise: its noise, independent between pixels and channels.
         estimator: one of `ESTIMATORS`.
         iterations: at most, on each level.
         levels: how many times the image is first reduced by two, for starts that are further away.
@@ -133,7 +133,8 @@ def align(
         learning_rate: of Adam, first step [rad, length scales]; falls to 0.8 of it every 100 steps.
         batch_pixels: of Adam, pixels of each step.
         options: see `MeasurementOptions`; `pose` is where the search starts (default: the scene's own), and
-            `size` the image's.
+            `size` the image's. The search has the pixels that `pixels` chooses and no others, and the bound
+            is theirs.
 
     Returns:
         `Alignment`; look at its `status` first.
@@ -141,33 +142,36 @@ def align(
     Raises:
         AlignmentError: the image has the wrong shape or nothing finite, or an unknown estimator.
         OutOfViewError: the start sees nothing of the scene.
-        NoiseError: the noise couples pixels or channels.
+        NoiseError: the noise couples pixels or channels, or cannot be that of a reduced image.
         MitsubaCRBError: as `pose_jacobian`.
     """
     measured = _checked_image(image)
     _check_arguments(estimator, iterations, levels)
+    model = _checked_noise(noise, measured)
     loaded, _ = as_scene(scene)
     options["size"] = _size(measured, options.get("size"), loaded, options.get("sensor", 0))
     damping = _DAMPING if estimator == "levenberg_marquardt" else 0.0
-    count = 0
-    fine, pixels = measured, options.get("pixels")
-    if levels and is_mask(pixels):
-        mask, _ = read_mask(pixels, measured.shape[:2])
-        fine, pixels = np.where(mask[..., None], measured, np.nan), None
-    for level in range(levels, 0, -1):
-        small = reduced(fine, 2**level)
-        if min(small.shape[:2]) < _COARSEST or not np.isfinite(small).any():
-            continue
-        coarse: MeasurementOptions = {**options, "size": (small.shape[1], small.shape[0]), "pixels": pixels}
-        with measurement(loaded, **coarse) as run:
-            search = _Search(run, small, noise, None)
-            pose, status, steps = search.least_squares(run.view.pose, damping, iterations)
-            count += steps
-        if status != "diverged":
-            options["pose"] = pose
+    count, words = 0, None
+    if levels:
+        with measurement(loaded, **options) as run:
+            # Chosen once, where the search starts: a reduced image is of the same pixels.
+            options["pixels"], words = run.mask, run.selection.description
+        left = run.mask[..., None] & np.isfinite(measured).all(axis=2, keepdims=True)
+        for small, of_small in pyramid(np.where(left, measured, np.nan), model, levels):
+            coarse: MeasurementOptions = {
+                **options,
+                "size": (small.shape[1], small.shape[0]),
+                "pixels": None,
+            }
+            with measurement(loaded, **coarse) as run:
+                search = _Search(run, small, of_small, None)
+                pose, status, steps = search.least_squares(run.view.pose, damping, iterations)
+                count += steps
+            if status != "diverged":
+                options["pose"] = pose
     with measurement(loaded, **options) as run:
         run.warn_of_limits()
-        search = _Search(run, measured, noise, anchor)
+        search = _Search(run.only(description=words), measured, model, anchor)
         if estimator == "adam":
             pose, status, steps = search.adam(run.view.pose, learning_rate, batch_pixels, iterations)
         else:
@@ -187,29 +191,29 @@ def align(
 class _Search:
     """One image, one scene, and what was last measured of it."""
 
-    def __init__(self, run: Measurement, image: Array, noise: NoiseModel, anchor: Anchor | None) -> None:
-        finite = np.isfinite(image).all(axis=2)
+    def __init__(
+        self, run: Measurement, image: Array, noise: IndependentNoise, anchor: Anchor | None
+    ) -> None:
+        finite = np.asarray(np.isfinite(image).all(axis=2))
         self.masked = int((run.mask & ~finite).sum())
         if self.masked:
-            mask = run.mask & finite
-            selection = PixelSelection("only", mask.size, int(mask.sum()), "where the image is finite")
-            run = dataclasses.replace(run, mask=mask, selection=selection)
-        if isinstance(noise, CoupledNoise):
-            raise NoiseError("an alignment needs noise that is independent between pixels")
-        noise.check(run.mask.shape[0], run.mask.shape[1], 3)
+            run = run.only(finite, f"{run.selection.description}, where the image is finite")
+        if not run.mask.any():
+            raise AlignmentError("the measured image is finite in none of the chosen pixels; choose others")
         self.run = run
-        self.noise: IndependentNoise = noise
+        self.noise = noise
         self.pixels = selected(run.mask)
         self.measured = image[run.mask]
+        self.seen = np.ones(len(self.pixels), dtype=bool)
         self.anchored = False
         self.correction: Array | float = 0.0
         self.rendered: tuple[Array, Array] | None = None
         if anchor is not None:
             self.tie(anchor)
-        if anchor is not None and anchor.jacobian is not None and not self.masked:
-            self._use(anchor.jacobian)
-        else:
-            self._use(run.jacobian())
+        known = None if anchor is None else anchor.jacobian
+        if known is None or not _covers(known, run.mask):
+            known = run.jacobian()
+        self._use(known.only(run.mask, run.selection.description))
         self.differentiate(run.view.pose)
         if not np.diagonal(self.plain).all():
             raise OutOfViewError(
@@ -258,15 +262,26 @@ class _Search:
             self._use(self.run.at(pose).jacobian())
 
     def _use(self, jacobian: ImageJacobian) -> None:
-        # Tiles visit pixels in another order than rows do.
-        order = np.lexsort(jacobian.pixels.T)
-        self.jacobian = dataclasses.replace(
-            jacobian, batch_values=jacobian.batch_values[:, order], pixels=jacobian.pixels[order]
-        )
-        self.values = self.jacobian.values
-        self.weights = self.noise.weights(self.pixels, self.jacobian.mean)
-        if self.weights.shape != self.measured.shape:
-            raise NoiseError("an alignment needs noise that is independent between channels")
+        self.jacobian = jacobian
+        self.values, self.own_weights, self.measurable = self._rows(jacobian, self.pixels)
+        self._weigh()
+
+    def _rows(
+        self, jacobian: ImageJacobian, pixels: NDArray[np.int64]
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Ĵ (n, 3, 6) and W (n, 3) at some pixels, zero where it was not finite, and where it was (n,)."""
+        row = np.full(self.run.mask.shape, -1)
+        row[jacobian.pixels[:, 1], jacobian.pixels[:, 0]] = np.arange(len(jacobian.pixels))
+        row = row[pixels[:, 1], pixels[:, 0]]
+        finite = row >= 0
+        values, weights = np.zeros((len(pixels), 3, 6)), np.zeros((len(pixels), 3))
+        values[finite] = jacobian.values[row[finite]]
+        weights[finite] = self.noise.weights(pixels[finite], jacobian.mean[row[finite]])
+        return values, weights, finite
+
+    def _weigh(self) -> None:
+        """W, and ĴᵀWĴ, of the pixels that are finite in both Ĵ and R̂."""
+        self.weights = np.where(self.seen[:, None], self.own_weights, 0.0)
         self.plain = np.einsum("ncp,nc,ncq->pq", self.values, self.weights, self.values, optimize=True)
 
     def motion(self, a: Array, b: Array) -> float:
@@ -280,8 +295,15 @@ class _Search:
         return np.asarray(np.einsum("ncp,nc->p", self.values, self.weights * image), dtype=np.float64)
 
     def difference(self, pose: Array) -> Array:
-        """(K, n, 3), y − R̂."""
-        return np.asarray(self.measured - self.expected(pose), dtype=np.float64)
+        """(K, n, 3), y − R̂; zero and without weight where R̂ is not finite."""
+        difference = np.asarray(self.measured - self.expected(pose), dtype=np.float64)
+        seen = np.asarray(np.isfinite(difference).all(axis=(0, 2)))
+        self.run.check_valid(int((~seen).sum()), len(seen))
+        difference[:, ~seen] = 0.0
+        if not np.array_equal(seen, self.seen):
+            self.seen = seen
+            self._weigh()
+        return difference
 
     def excess(self, difference: Array, information: Array) -> float:
         """tr(F⁻¹ [ĴᵀWĴ − F + Cov(ĴᵀW R̂)]) / 6."""
@@ -338,15 +360,10 @@ class _Search:
             chosen = np.sort(rng.permutation(len(self.pixels))[:count])
             part = np.zeros_like(self.run.mask)
             part[self.pixels[chosen, 1], self.pixels[chosen, 0]] = True
-            here = self.run.at(pose)
-            jacobian = dataclasses.replace(here, mask=part, seed=here.seed + iteration).jacobian()
-            weighted = (
-                self.noise.weights(self.pixels[chosen], jacobian.mean)
-                * self.difference(pose).mean(axis=0)[chosen]
-            )
-            # Tiles visit pixels in another order than rows do.
-            order = np.lexsort(jacobian.pixels.T)
-            slope = -scale * np.einsum("ncp,nc->p", jacobian.values[order], weighted)
+            here = dataclasses.replace(self.run.at(pose).only(part), seed=self.run.seed + iteration)
+            values, weights, _ = self._rows(here.jacobian(), self.pixels[chosen])
+            difference = self.difference(pose).mean(axis=0)[chosen]
+            slope = -scale * np.einsum("ncp,nc->p", values, weights * difference)
             first = _FIRST * first + (1.0 - _FIRST) * slope
             second = _SECOND * second + (1.0 - _SECOND) * slope**2
             mean, square = first / (1.0 - _FIRST**iteration), second / (1.0 - _SECOND**iteration)
@@ -386,7 +403,12 @@ class _Search:
         """What is known at the end."""
         self.differentiate(pose)
         difference = self.difference(pose)
-        information = fisher_information(dataclasses.replace(self.jacobian, pose=pose), self.noise)
+        jacobian, valid = self.jacobian, self.measurable & self.seen
+        if not valid.all():
+            mask = np.zeros_like(self.run.mask)
+            mask[self.run.mask] = valid
+            jacobian = jacobian.only(mask, f"{jacobian.selection.description}, where the radiance is finite")
+        information = fisher_information(dataclasses.replace(jacobian, pose=pose), self.noise)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PrecisionWarning)
             bound = cramer_rao_bound(information)
@@ -398,30 +420,14 @@ class _Search:
             bound=bound,
             excess=self.excess(difference, information.matrix),
             masked=self.masked,
+            invalid=int((~valid).sum()),
         )
 
 
-def reduced(image: Array, factor: int) -> Array:
-    """The image that a film with pixels `factor` times as large measures, about; NaN where nothing is finite.
-
-    Mitsuba's Gaussian filter has a standard deviation of half a pixel, of the large pixels as of the small.
-    """
-    finite = np.isfinite(image).all(axis=2)
-    sigma = 0.5 * float(np.sqrt(factor**2 - 1.0))
-    height, width = (max(1, side // factor) for side in image.shape[:2])
-    rows = (np.arange(height) + 0.5) * image.shape[0] / height - 0.5
-    columns = (np.arange(width) + 0.5) * image.shape[1] / width - 0.5
-    at = np.stack(np.meshgrid(rows, columns, indexing="ij"))
-
-    def sampled(channel: Any) -> Array:
-        smooth = ndimage.gaussian_filter(channel, sigma, mode="nearest")
-        return np.asarray(ndimage.map_coordinates(smooth, at, order=1, mode="nearest"))
-
-    weight = sampled(finite.astype(np.float64))
-    channels = [sampled(np.where(finite, channel, 0.0)) for channel in np.moveaxis(image, 2, 0)]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        small = np.stack(channels, axis=2) / weight[..., None]
-    return np.where(weight[..., None] > 0.5, small, np.nan)
+def _covers(jacobian: ImageJacobian, mask: NDArray[np.bool_]) -> bool:
+    missing = mask.copy()
+    missing[jacobian.pixels[:, 1], jacobian.pixels[:, 0]] = False
+    return not missing.any()
 
 
 def _checked_image(image: ArrayLike) -> Array:
@@ -431,6 +437,16 @@ def _checked_image(image: ArrayLike) -> Array:
     if not np.isfinite(values).all(axis=2).any():
         raise AlignmentError("no pixel of the measured image is finite")
     return values
+
+
+def _checked_noise(noise: object, image: Array) -> IndependentNoise:
+    model = as_noise_model(noise)
+    if isinstance(model, CoupledNoise):
+        raise NoiseError("an alignment needs noise that is independent between pixels")
+    model.check(*image.shape)
+    if model.weights(np.zeros((1, 2), dtype=np.int64), np.zeros((1, 3))).shape != (1, 3):
+        raise NoiseError("an alignment needs noise that is independent between channels")
+    return model
 
 
 def _size(

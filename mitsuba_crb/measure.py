@@ -322,6 +322,18 @@ class Measurement:
         selection = self.selection.only(int(mask.sum()), description)
         return dataclasses.replace(self, mask=mask, selection=selection)
 
+    def check_valid(self, invalid: int, total: int) -> None:
+        """Refuse so many pixels of some whose radiance is not finite, unless they may be left out.
+
+        Raises:
+            RadianceError: they may not, or nothing would be left.
+        """
+        if invalid and not (self.drop_invalid and invalid < total):
+            raise RadianceError(
+                f"{invalid} of {total} pixels have radiance that is NaN or infinite; mend the scene or leave "
+                "them out with --drop-invalid (drop_invalid=True)"
+            )
+
     def jacobian(self) -> ImageJacobian:
         """The Jacobian of every selected pixel, held at once, row by row."""
         image = np.full((*self.mask.shape, 3), np.nan)
@@ -387,11 +399,7 @@ class Measurement:
                 self.on_tile(tile, done, total)
             if self.drop_invalid or not invalid:
                 yield tile
-        if invalid and not (self.drop_invalid and invalid < total):
-            raise RadianceError(
-                f"{invalid} of {total} pixels have radiance that is NaN or infinite; mend the scene or leave "
-                "them out with --drop-invalid (drop_invalid=True)"
-            )
+        self.check_valid(invalid, total)
 
     def _in_turn(self, paths: dict[str, int]) -> Iterator[tuple[NDArray[np.int64], Any]]:
         """Each tile's pixels and what the method says of them; flow takes its steps as `flow.steps` says."""

@@ -5,17 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from scipy import stats
-from small_scenes import camera, scene, texture, textured_wall, wall
+from small_scenes import textured_wall
 
 from mitsuba_crb import se3
-from mitsuba_crb.align import Alignment, Anchor, align, reduced
-from mitsuba_crb.errors import AlignmentError
+from mitsuba_crb.align import Alignment, Anchor, align
+from mitsuba_crb.errors import AlignmentError, NoiseError, RadianceError
+from mitsuba_crb.information import PixelSelection
 from mitsuba_crb.jacobian.pixels import render_pixels
-from mitsuba_crb.noise import Gaussian
+from mitsuba_crb.measure import measurement
+from mitsuba_crb.noise import SRGB, ColourBlocks, Gaussian, PerPixel, Sensor
 from mitsuba_crb.scene import as_scene, open_view
+from mitsuba_crb.subset import selected
 from mitsuba_crb.trials import validate
 
 SIGMA = Gaussian(0.01)
@@ -96,6 +100,24 @@ def test_levels_reach_further(textured: Any, truth: Anchor) -> None:
 
 
 @pytest.mark.slow
+def test_levels_reach_further_with_scattered_pixels(scenes: Path) -> None:
+    """Reduced images are made of three in ten pixels."""
+    room, noise = as_scene(scenes / "textured_room" / "textured_room.xml")[0], Gaussian(0.05)
+    options: dict[str, Any] = {"size": (64, 48), "pixels": "random:0.3", "spp": 16, "iterations": 20}
+    with measurement(room, size=options["size"]) as run:
+        image = render_pixels(run.view, selected(run.mask), spp=1024, seed=77).reshape(1, 48, 64, 3)
+        truth, depth = Anchor(run.view.pose, image), run.length_scale
+    reached = {0: 0, 2: 0}
+    for levels in reached:
+        for seed in range(4):
+            measured = image[0] + noise.sigma * np.random.default_rng(seed).standard_normal(image[0].shape)
+            options |= {"pose": _start(truth, 0.1 * depth, 4.0, seed), "seed": seed, "levels": levels}
+            found = align(room, measured, noise, anchor=truth, **options)
+            reached[levels] += _nees(found, truth) < 28.0 * (1.0 + found.excess)
+    assert reached[2] >= 3 > reached[0]
+
+
+@pytest.mark.slow
 def test_nearby_starts_find_the_truth_in_a_furnished_room(scenes: Path) -> None:
     """Within 2 degrees and a twentieth of the depth, by way of one reduced image, in over 90 % of cases."""
     depth = 4.07
@@ -133,25 +155,96 @@ def test_pixels_that_are_not_finite_are_counted_and_left_out(textured: Any, trut
     assert _nees(found, truth) < 28.0 * (1.0 + found.excess)
 
 
-def test_what_a_mask_leaves_out_matters_on_no_level(textured: Any, truth: Anchor) -> None:
-    mask = np.ones((SIZE[1], SIZE[0]), dtype=bool)
-    mask[:, 20:] = False
+@pytest.mark.parametrize("pixels", ["mask", "random:0.5", "gradient:0.5"])
+def test_what_is_not_chosen_matters_on_no_level(textured: Any, truth: Anchor, pixels: Any) -> None:
+    start = _start(truth, 0.1, 3.0)
+    if pixels == "mask":
+        pixels = np.ones((SIZE[1], SIZE[0]), dtype=bool)
+        pixels[:, 20:] = False
+    with measurement(textured, size=SIZE, pose=start, pixels=pixels) as run:
+        mask = run.mask
     poses = []
     for value in (0.0, 1000.0):
         image = np.where(mask[..., None], _measured(truth), value)
-        found = align(
-            textured,
-            image,
-            SIGMA,
-            anchor=truth,
-            spp=16,
-            pose=_start(truth, 0.1, 3.0),
-            pixels=mask,
-            levels=1,
-        )
+        found = align(textured, image, SIGMA, anchor=truth, spp=16, pose=start, pixels=pixels, levels=1)
+        assert _nees(found, truth) < 28.0 * (1.0 + found.excess)
+        assert found.bound.information.selection.selected == mask.sum()
+        poses.append(found.pose)
+    np.testing.assert_array_equal(*poses)
+
+
+@pytest.mark.parametrize("pixels", ["random:0.3", "gradient:0.3"])
+def test_chosen_pixels_are_the_measurement(textured: Any, truth: Anchor, pixels: str) -> None:
+    """Pose, bound and excess are those of an estimator that was given these pixels by name."""
+    options: dict[str, Any] = {"anchor": truth, "spp": 64, "pose": _start(truth, 0.02, 0.3)}
+    with measurement(textured, size=SIZE, pose=options["pose"], pixels=pixels) as run:
+        mask = run.mask
+    found = align(textured, _measured(truth), SIGMA, pixels=pixels, **options)
+    named = align(textured, _measured(truth), SIGMA, pixels=mask, **options)
+    np.testing.assert_array_equal(found.pose, named.pose)
+    np.testing.assert_array_equal(found.bound.information.matrix, named.bound.information.matrix)
+    assert found.excess == named.excess > 0.0
+    assert found.bound.information.selection == PixelSelection("only", 768, 230, pixels)
+    assert _nees(found, truth) < 28.0 * (1.0 + found.excess)
+
+
+def _torn() -> Any:
+    """The wall with a band of its texture that is not a number."""
+    torn = as_scene(textured_wall())[0]
+    params = mi.traverse(torn)
+    (name,) = (name for name, _ in params if name.endswith("reflectance.data"))
+    values = np.array(params[name])
+    values[:, 17:19] = np.nan
+    params[name] = mi.TensorXf(values)
+    params.update()
+    return torn
+
+
+@pytest.mark.parametrize("estimator", ["gauss_newton", "levenberg_marquardt", "adam"])
+def test_what_is_not_finite_in_the_scene_is_left_out_on_request(truth: Anchor, estimator: str) -> None:
+    """The measured image shows what is there."""
+    options: dict[str, Any] = {"spp": 32, "pose": _start(truth, 0.05, 1.0), "levels": 1}
+    options |= {"estimator": estimator, "iterations": 40 if estimator == "adam" else 30}
+    torn = _torn()
+    with pytest.raises(RadianceError, match=r"\d+ of \d+ pixels.*drop_invalid=True"):
+        align(torn, _measured(truth), SIGMA, **options)
+    found = align(torn, _measured(truth), SIGMA, drop_invalid=True, **options)
+    assert 100 < found.invalid < 600
+    assert found.masked == 0
+    selection = found.bound.information.selection
+    assert (selection.kind, selection.selected) == ("only", 768 - found.invalid)
+    assert selection.description == "all, where the radiance is finite"
+    assert found.residual < 1.15
+    if estimator != "adam":
+        assert found.status == "converged"
+        assert _nees(found, truth) < 28.0 * (1.0 + found.excess)
+
+
+def test_noise_of_every_pixel_is_reduced_with_the_image(textured: Any, truth: Anchor) -> None:
+    """Values of infinite variance matter on no level, nor do they take others with them."""
+    variance = np.full((*SIZE[::-1], 3), SIGMA.sigma**2)
+    variance[:, :16] *= 100.0
+    variance[4:8, 4:28] = np.inf
+    variance[..., 2] = np.inf
+    noise = np.random.default_rng(3).standard_normal(variance.shape)
+    noise *= np.sqrt(np.where(np.isinf(variance), 0.0, variance))
+    poses = []
+    for value in (0.0, 1000.0):
+        image = np.where(np.isinf(variance), value, truth.batches[0] + noise)
+        options: dict[str, Any] = {"anchor": truth, "spp": 16, "pose": _start(truth, 0.1, 3.0), "levels": 1}
+        found = align(textured, image, PerPixel(variance), **options)
+        assert found.status == "converged"
         assert _nees(found, truth) < 28.0 * (1.0 + found.excess)
         poses.append(found.pose)
     np.testing.assert_array_equal(*poses)
+
+
+def test_levels_refuse_noise_that_no_reduced_image_has(textured: Any, truth: Anchor) -> None:
+    camera = Sensor(PerPixel(np.full((24, 32), 1e-4)), "after", SRGB)
+    with pytest.raises(NoiseError, match=r"levels need noise that is the same .* leave out levels"):
+        align(textured, _measured(truth), camera, levels=1)
+    with pytest.raises(NoiseError, match="independent between channels"):
+        align(textured, _measured(truth), ColourBlocks(np.tile(np.eye(3), (24, 32, 1, 1))), levels=1)
 
 
 def test_an_image_of_another_shape_can_be_confirmed(textured: Any, truth: Anchor) -> None:
@@ -175,23 +268,6 @@ def test_the_estimate_is_not_biased_by_the_renderers_noise(textured: Any, truth:
     whitened = np.array(errors) @ root.T
     nees = np.mean(np.sum(whitened**2, axis=1)) / (1.0 + np.mean(excess))
     assert 3.6 < nees < 9.0  # 99.9 % of χ²_120 / 20
-
-
-def test_a_reduced_image_is_what_a_smaller_film_measures() -> None:
-    large, small = (
-        scene(wall=wall(texture(cells=64))),
-        scene(wall=wall(texture(cells=64)), sensor=camera(16, 12)),
-    )
-    images = []
-    for which in (large, small):
-        with open_view(which) as view:
-            width, height = view.size
-            pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2)
-            images.append(render_pixels(view, pixels, spp=512, seed=1).reshape(height, width, 3))
-    inner = np.s_[1:-1, 1:-1]  # the small film's filter reaches beyond the large film's border
-    reduction = reduced(images[0], 2)[inner] - images[1][inner]
-    subsampling = images[0][::2, ::2][inner] - images[1][inner]
-    assert np.std(reduction) < 0.3 * np.std(subsampling)
 
 
 @pytest.mark.parametrize(
