@@ -103,7 +103,8 @@ def hammersley_chapman_robbins(
     S is enlarged by three standard errors and its null directions are left out, so that Monte Carlo noise
     makes the bound smaller, not larger. A coordinate is infinite where the local bound is, and where it
     changes along a displacement whose image is the same: its squared distance is below `QUANTILE` standard
-    errors plus the floor, where F would have it above.
+    errors plus the floor, where F would have it above. A random subset of the pixels cannot show that: the
+    displacement is left out then.
 
     Args:
         information: of the pose, without a prior.
@@ -136,7 +137,8 @@ def hammersley_chapman_robbins(
     expected = np.einsum("mi,ij,mj->m", xi / scale, inverse.precision, xi / scale)
     threshold = QUANTILE * errors + floor
     distances = np.diagonal(A).copy()
-    repeats = (distances <= threshold) & (expected > threshold)
+    certain = information.selection.kind != "random"
+    repeats = (distances <= threshold) & (expected > threshold) & certain
     used = distances > threshold
     excess = _excess(
         (change - cross_scaled @ seen_inverse)[used],

@@ -143,12 +143,14 @@ class ImageJacobian:
         """Of those of its pixels that are in a mask (H, W); they are all that an estimator has."""
         x, y = self.pixels.T
         kept = mask[y, x]
+        selection = self.selection.only(int(kept.sum()), description)
         return dataclass_replace(
             self,
             batch_values=self.batch_values if kept.all() else self.batch_values[:, kept],
             pixels=self.pixels[kept],
             image=np.where(mask[..., None], self.image, np.nan),
-            selection=self.selection.only(int(kept.sum()), description),
+            selection=selection,
+            provenance={**self.provenance, "pixels": vars(selection).copy()} if self.provenance else {},
         )
 
     def to_frame(self, frame: Frame) -> ImageJacobian:

@@ -47,7 +47,8 @@ def hcr_bound(
         scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
         noise: Gaussian noise that the image does not change; None as for `pose_bound`.
         displacements: (m, 6), camera-frame twists; None: both ways along and about the camera's axes, by
-            `MOTIONS_PIXELS`. A repetition is found only if one of them meets it.
+            `MOTIONS_PIXELS`. A repetition is found only if one of them meets it, and not in a random subset
+            of the pixels, from which the others may differ.
         options: see `MeasurementOptions`.
 
     Raises:

@@ -350,6 +350,7 @@ def print_validation(console: Console, result: Validation, warnings: Iterable[st
         [
             ("trials", f"{len(result.trials)}, of which {len(result.failed)} failed"),
             ("noise", f"Gaussian, σ = {settings['sigma']:.4g}"),
+            ("pixels", _pixels(settings["pixels"])),
             ("starts", f"within {settings['perturb_deg']:g} deg, {settings['perturb_trans']:g} scene units"),
             ("estimator", f"{settings['estimator']}, {settings['spp']} paths per pixel"),
             ("efficiency", f"{result.efficiency:.1%}"),

@@ -68,6 +68,8 @@ class Trial:
     """Of the search."""
     excess: float
     """Relative excess of its covariance over the bound from the renderer's noise."""
+    invalid: int
+    """Pixels, of those that the bound counts, that it left out (`drop_invalid`)."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -178,7 +180,8 @@ def validate(
             written to it as they end.
         on_trial: called after each trial.
         defines: the scene file's `<default>`s.
-        options: see `MeasurementOptions`; `spp` is 256 by default.
+        options: see `MeasurementOptions`; `spp` is 256 by default. The bound is that of the pixels that
+            `pixels` chooses, which are all that the estimator has.
 
     Raises:
         TrialError: too few trials, a resume file of other settings, or too few that did not fail.
@@ -237,6 +240,7 @@ def _expected(
 
     many: MeasurementOptions = {**options, "spp": _EXPECTED_SPP * options["spp"]}
     with measurement(scene, **many) as run:
+        run = run.only()
         model = run.noise(None if sigma is None else Gaussian(sigma))[0]
         if not isinstance(model, Gaussian):
             raise TrialError("trials need Gaussian noise")
@@ -246,6 +250,12 @@ def _expected(
             run.view, selected(run.mask), spp=run.spp, seed=run.seed, purpose=_EXPECTED
         )[0]
         jacobian = run.jacobian()
+        valid = np.isfinite(image[0]).all(axis=2) & np.isfinite(jacobian.image).all(axis=2)
+        invalid = int((run.mask & ~valid).sum())
+        run.check_valid(invalid, run.selection.selected)
+        if invalid:
+            image[0, ~valid] = np.nan
+            jacobian = jacobian.only(valid, f"{run.selection.description}, where the radiance is finite")
         names = {"scene": run.view.label, "integrator": " ".join(str(run.view.integrator).split())}
         return Anchor(run.view.pose, image, jacobian), jacobian, model.sigma, names
 
@@ -300,9 +310,17 @@ def _trial(setup: _Setup, scene: Any, index: int) -> Trial:
         # The start was drawn behind a wall, say. Its residual is that of a black image.
         error = se3.log(se3.inverse(truth) @ start)
         residual = float(np.sqrt(np.nanmean((measured / setup.sigma) ** 2)))
-        return Trial(index, "diverged", tuple(error.tolist()), residual, 0, 0.0)
+        return Trial(index, "diverged", tuple(error.tolist()), residual, 0, 0.0, 0)
     error = se3.log(se3.inverse(truth) @ found.pose)
-    return Trial(index, found.status, tuple(error.tolist()), found.residual, found.iterations, found.excess)
+    return Trial(
+        index=index,
+        status=found.status,
+        error=tuple(error.tolist()),
+        residual=found.residual,
+        iterations=found.iterations,
+        excess=found.excess,
+        invalid=found.invalid,
+    )
 
 
 def _in_ball(rng: np.random.Generator) -> Array:

@@ -62,3 +62,15 @@ def scene(*, sensor: Any = None, **objects: Any) -> dict[str, Any]:
 def textured_wall(**options: Any) -> dict[str, Any]:
     """The smooth scene: everything is visible, and every method is right."""
     return scene(wall=wall(texture()), **options)
+
+
+def torn_wall() -> Any:
+    """The textured wall with a band of its texture that is not a number."""
+    torn = mi.load_dict(textured_wall())
+    params = mi.traverse(torn)
+    (name,) = (name for name, _ in params if name.endswith("reflectance.data"))
+    values = np.array(params[name])
+    values[:, 17:19] = np.nan
+    params[name] = mi.TensorXf(values)
+    params.update()
+    return torn

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 import pytest
 from scipy import stats
-from small_scenes import textured_wall
+from small_scenes import textured_wall, torn_wall
 
 from mitsuba_crb import se3
 from mitsuba_crb.align import Alignment, Anchor, align
@@ -188,24 +187,12 @@ def test_chosen_pixels_are_the_measurement(textured: Any, truth: Anchor, pixels:
     assert _nees(found, truth) < 28.0 * (1.0 + found.excess)
 
 
-def _torn() -> Any:
-    """The wall with a band of its texture that is not a number."""
-    torn = as_scene(textured_wall())[0]
-    params = mi.traverse(torn)
-    (name,) = (name for name, _ in params if name.endswith("reflectance.data"))
-    values = np.array(params[name])
-    values[:, 17:19] = np.nan
-    params[name] = mi.TensorXf(values)
-    params.update()
-    return torn
-
-
 @pytest.mark.parametrize("estimator", ["gauss_newton", "levenberg_marquardt", "adam"])
 def test_what_is_not_finite_in_the_scene_is_left_out_on_request(truth: Anchor, estimator: str) -> None:
     """The measured image shows what is there."""
     options: dict[str, Any] = {"spp": 32, "pose": _start(truth, 0.05, 1.0), "levels": 1}
     options |= {"estimator": estimator, "iterations": 40 if estimator == "adam" else 30}
-    torn = _torn()
+    torn = torn_wall()
     with pytest.raises(RadianceError, match=r"\d+ of \d+ pixels.*drop_invalid=True"):
         align(torn, _measured(truth), SIGMA, **options)
     found = align(torn, _measured(truth), SIGMA, drop_invalid=True, **options)

@@ -543,6 +543,7 @@ def test_validate_prints_and_writes_what_it_found(tmp_path, scenes, capsys):
     assert code in (0, 1)
     assert "variance ratio 6" in table
     assert "coverage at 95%" in table
+    assert "all 192" in table
     document = json.loads(files["json"].read_text())
     assert document["schema"] == "mitsuba-crb/validate/1"
     assert document["trials"] == 8

@@ -9,7 +9,7 @@ from small_scenes import T, camera, mi, scene, texture, wall
 from mitsuba_crb import se3
 from mitsuba_crb.errors import NoiseError, OptionError
 from mitsuba_crb.jacobian.pixels import render_pixels
-from mitsuba_crb.measure import pose_bound
+from mitsuba_crb.measure import measurement, pose_bound
 from mitsuba_crb.measure_displaced import hcr_bound
 from mitsuba_crb.noise import Gaussian, IndependentNoise
 from mitsuba_crb.scene import open_view
@@ -76,6 +76,27 @@ def test_a_random_subset_estimates_the_whole_image():
     error = part.squared_distances_standard_error
     assert error > whole.squared_distances_standard_error
     assert abs(part.squared_distances - whole.squared_distances) < 4.0 * error
+
+
+def test_a_random_subset_proves_no_repetition():
+    """One mark in the whole paper breaks it: with all pixels it is seen, and most samples do not hold it."""
+    sheet = np.tile(np.random.default_rng(1).uniform(0.2, 0.8, (8, 8, 3)), (1, 12, 1))
+    sheet = np.kron(sheet, np.ones((4, 4, 1)))
+    sheet[16:18, 200:202] = 0.0
+    paper = {"type": "bitmap", "bitmap": mi.Bitmap(sheet.astype(np.float32)), "raw": True}
+    paper |= {"to_uv": T().scale([1, 12, 1]), "filter_type": "nearest"}
+    marked = mi.load_dict(scene(wall=wall(paper, half=12.0), sensor=camera(24, 18, target=(0, 0, 3))))
+    options = {"displacements": [[PERIOD, 0, 0, 0, 0, 0]], "spp": 64, "seed": 8}
+    whole = hcr_bound(marked, NOISE, **options)
+    part = hcr_bound(marked, NOISE, pixels="random:0.3", **options)
+    assert whole.squared_distances > 50.0
+    assert part.squared_distances < 1.0
+    assert not part.repeats.any()
+    assert np.isfinite(part.position_std).all()
+    with measurement(marked, pixels="random:0.3", seed=8) as run:
+        mask = run.mask
+    named = hcr_bound(marked, NOISE, pixels=mask, **options)
+    assert named.repeats.all()
 
 
 @pytest.mark.parametrize(

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import camera, textured_wall
+from small_scenes import camera, textured_wall, torn_wall
 
 from mitsuba_crb import trials
 from mitsuba_crb.align import align
 from mitsuba_crb.consistency import Consistency, consistency
-from mitsuba_crb.errors import BlindSpotWarning, OptionError, OutOfViewError, TrialError
+from mitsuba_crb.errors import BlindSpotWarning, OptionError, OutOfViewError, TrialError, RadianceError
 from mitsuba_crb.trials import SCHEMA, validate
 
 OPTIONS: dict[str, Any] = {"size": (16, 12), "spp": 32, "sigma": 0.005, "perturb_deg": 0.2, "seed": 5}
@@ -73,6 +73,37 @@ def test_what_the_method_cannot_see_is_said_once_even_if_a_trial_fails(
     with pytest.warns(BlindSpotWarning, match="near plane") as caught, pytest.raises(OptionError):
         validate(cut, trials=8, **OPTIONS)
     assert len(caught) == 1
+
+
+@pytest.mark.parametrize("levels", [0, 1])
+def test_the_bound_is_that_of_the_pixels_that_the_estimator_has(levels: int) -> None:
+    options = OPTIONS | {"size": (24, 18), "trials": 24, "confidence": 0.999, "levels": levels}
+    found = validate(textured_wall(), pixels="random:0.3", **options)
+    assert found.settings["pixels"].items() >= {"kind": "only", "selected": 130, "total": 432}.items()
+    assert found.bound.information.selection.kind == "only"
+    assert found.failed == ()
+    low, high = found.consistency.nees_band
+    assert low < found.consistency.nees / (1.0 + found.excess) < high
+    # Negative control: beside the bound of the whole image, which the pixels sample, the errors are large.
+    F = found.bound.information
+    whole = consistency(found.errors, replace(F, matrix=F.matrix * 432 / 130), confidence=0.999)
+    assert whole.nees / (1.0 + found.excess) > high
+
+
+def test_pixels_that_are_not_finite_belong_neither_to_trials_nor_to_the_bound() -> None:
+    options = OPTIONS | {"size": (24, 18), "trials": 24, "confidence": 0.999}
+    with pytest.raises(RadianceError, match="drop_invalid"):
+        validate(torn_wall(), **options)
+    found = validate(torn_wall(), drop_invalid=True, **options)
+    selection = found.bound.information.selection
+    assert selection.kind == "only"
+    assert 0 < selection.selected < 400
+    assert selection.description == "all, where the radiance is finite"
+    assert found.settings["pixels"]["selected"] == selection.selected
+    assert max(trial.invalid for trial in found.trials) < 0.05 * selection.selected
+    low, high = found.consistency.nees_band
+    assert found.failed == ()
+    assert low < found.consistency.nees / (1.0 + found.excess) < high
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
-from small_scenes import camera, scene, texture, textured_wall, wall
+from small_scenes import camera, scene, texture, textured_wall, torn_wall, wall
 
 from mitsuba_crb import check_jacobian, fisher_information, pose_jacobian
 from mitsuba_crb.errors import BlindSpotWarning, OptionError
@@ -95,6 +95,19 @@ def test_the_difference_has_the_errors_of_flow_s_blocks() -> None:
         expected.append(0.5 * error / np.sqrt(np.maximum(np.diag(left.matrix), error) * fd))
     assert row.difference_standard_error == pytest.approx(expected[0], rel=1e-6)
     assert np.all(np.abs(row.difference_standard_error / expected[1] - 1.0) > 1e-3)
+
+
+@pytest.mark.parametrize("pixels", ["random:0.3", "gradient:0.3"])
+def test_methods_are_compared_at_the_same_pixels(pixels: str) -> None:
+    """A choice that differs from run to run would make a method differ from itself."""
+    check = check_jacobian(textured_wall(), methods=("flow",), spp=64, batches=4, pixels=pixels)
+    assert check.verdict != "disagree"
+    assert np.all(check.rows[0].difference < 0.3)
+
+
+def test_what_is_not_finite_is_compared_nowhere() -> None:
+    check = check_jacobian(torn_wall(), methods=("flow",), spp=64, batches=4, drop_invalid=True)
+    assert check.verdict != "disagree"
 
 
 def test_methods_that_do_not_exist_are_named() -> None:
