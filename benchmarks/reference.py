@@ -8,8 +8,8 @@ white texture under the default filter the information is low by about 4 h⁴, 0
 tent filters have corners, where the error is linear in h: 2 % at 0.12 and 0.2 % at 0.06 pixels in a scene
 that is one long edge. How much the extrapolation changes is in the file (`step_effect`), so that the rest can
 be judged. Film offsets are Sobol' points, which saves a factor of 25 or more in paths where edges make the
-noise. Runs with further seeds are averaged into the file; one that was made with other settings, or of
-another scene, is refused.
+noise. Runs with further seeds are averaged into the file; one that was made with other settings, by other
+versions, or of another scene, is refused.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from rich.console import Console
 from rich.table import Table
 
 from mitsuba_crb.errors import PrecisionWarning
+from mitsuba_crb.files import atomic
 from mitsuba_crb.information import FisherInformation, fisher_information
 from mitsuba_crb.jacobian import finite_difference
 from mitsuba_crb.measure import measurement, versions
@@ -74,11 +75,14 @@ def run(name: str, *, spp: int, seed: int, step: float) -> None:
         "step_pixels": step,
         "spp": spp,
         "batches": BATCHES,
+        "versions": versions(),
     }
     known = json.loads(file.read_text(encoding="utf-8")) if file.exists() else settings | {"seeds": []}
-    different = [key for key in settings if known[key] != settings[key]]
+    different = [
+        f"{key} {known[key]}, not {settings[key]}" for key in settings if known[key] != settings[key]
+    ]
     if different:
-        sys.exit(f"{file} was made with another {', '.join(different)}: remove it first")
+        sys.exit(f"{file} was made with {', '.join(different)}: remove it first")
     if seed in known["seeds"]:
         return
     start = time.perf_counter()
@@ -94,13 +98,13 @@ def run(name: str, *, spp: int, seed: int, step: float) -> None:
         "seconds": round(known.get("seconds", 0.0) + time.perf_counter() - start, 1),
         "command": f"python benchmarks/reference.py {name} --spp {spp} --step {step} --seeds "
         + " ".join(map(str, seeds)),
-        "versions": versions(),
         "step_effect": [float(f"{x:.2g}") for x in effect],
         "matrix": [[float(f"{x:.7g}") for x in row] for row in matrix],
         "standard_error": [[float(f"{x:.3g}") for x in row] for row in error],
     }
     lines = ",\n".join(f" {json.dumps(key)}: {json.dumps(value)}" for key, value in record.items())
-    file.write_text("{\n" + lines + "\n}\n", encoding="utf-8")
+    with atomic(file) as temporary:
+        temporary.write_text("{\n" + lines + "\n}\n", encoding="utf-8")
     relative = 100.0 * np.diag(error) / np.diag(matrix)
     print(
         f"{name:16s} {n + 1:3d} seeds {record['seconds']:7.1f} s   standard errors [%]",

@@ -145,15 +145,15 @@ def _view_options(
     }
 
 
-def _check_targets(targets: dict[str, Path | None], inputs: list[Path]) -> None:
-    """Every output can be written, no two are one file, none is an input."""
+def _check_targets(targets: dict[str, Path | None], inputs: list[Path], resumed: str = "") -> None:
+    """Every output can be written, no two are one file, none is an input or, but for one, holds trials."""
     from .export import check_target
 
     taken: dict[Path, str] = {}
     for option, path in targets.items():
         if path is None:
             continue
-        check_target(path, option, inputs)
+        check_target(path, option, inputs, resumes=option == resumed)
         other = taken.setdefault(path.resolve(), option)
         if other != option:
             raise OutputError(f"{option} and {other} both name {path}; give each a file of its own")
@@ -518,7 +518,7 @@ def validate(
         options = _view_options(sensor, pose, size, spp, seed, batches)
         defines = parse_defines(define)
         inputs = [scene, *filter(None, [pose_file(pose)])]
-        _check_targets({"--json": json_file, "--plot": plot_file}, inputs)
+        _check_targets({"--json": json_file, "--plot": plot_file}, inputs, resumed="--json")
 
         from .export import write_json
         from .report import print_validation, progress

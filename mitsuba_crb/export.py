@@ -183,13 +183,14 @@ def pictures_of(
     return gathering.pictures(information, (width, height))
 
 
-def check_target(path: Path, option: str, inputs: Sequence[Path] = ()) -> None:
+def check_target(path: Path, option: str, inputs: Sequence[Path] = (), *, resumes: bool = False) -> None:
     """Raise `OutputError` unless `path` can be written, without touching what is there.
 
     Args:
         path: the file to be written.
         option: the option's name, for the message.
         inputs: files that this run reads, and that must not be overwritten.
+        resumes: whether this run keeps the trials that the file holds.
     """
     folder = path.parent
     if not folder.is_dir():
@@ -203,6 +204,8 @@ def check_target(path: Path, option: str, inputs: Sequence[Path] = ()) -> None:
             raise OutputError(
                 f"{option} {path}: this would overwrite an input of this run; name another file"
             )
+    if not resumes and path.exists() and _holds_trials(path):
+        raise OutputError(f"{option} {path}: this holds trials that would be lost; name another file")
     # asking by writing: permission bits say nothing about root, read-only mounts and quotas
     probe = beside(path)
     try:
@@ -212,6 +215,13 @@ def check_target(path: Path, option: str, inputs: Sequence[Path] = ()) -> None:
         raise OutputError(
             f"{option} {path}: cannot write in the folder {folder} ({error.strerror})"
         ) from error
+
+
+def _holds_trials(path: Path) -> bool:
+    from .trials import SCHEMA as TRIALS  # late: it imports what measures
+
+    with path.open("rb") as file:
+        return TRIALS.encode() in file.read(100)
 
 
 def check_folder(path: Path, option: str) -> None:

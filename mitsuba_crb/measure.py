@@ -263,6 +263,8 @@ class Measurement:
             "batches": self.batches,
             "size": list(self.view.size),
             "pixels": dataclasses.asdict(self.selection),
+            "drop_invalid": self.drop_invalid,
+            "step_pixels": self.step.get("step_pixels"),
             "nuisances": {nuisance.name: nuisance.how for nuisance in self.nuisances},
             "integrator": type(integrator).__name__ if python else integrator.class_name(),
             "versions": versions(),

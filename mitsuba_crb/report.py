@@ -345,10 +345,11 @@ def print_validation(console: Console, result: Validation, warnings: Iterable[st
             f"coverage at {c.nominal:.0%}", *_in_band(c.empirical, c.nominal, c.low, c.high, c.nominal)
         )
     console.print(table)
+    more = f"; the file holds {len(result.further)} more" if result.further else ""
     _facts(
         console,
         [
-            ("trials", f"{len(result.trials)}, of which {len(result.failed)} failed"),
+            ("trials", f"{len(result.trials)}, of which {len(result.failed)} failed{more}"),
             ("noise", f"Gaussian, σ = {settings['sigma']:.4g}"),
             ("pixels", _pixels(settings["pixels"])),
             ("starts", f"within {settings['perturb_deg']:g} deg, {settings['perturb_trans']:g} scene units"),

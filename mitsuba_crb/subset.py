@@ -2,7 +2,8 @@
 
 A random subset *estimates* the whole image's information, so it is scaled up and its sampling variance
 enters the standard errors. A mask or a gradient-rich subset *is* the measurement of an estimator that sees
-only those pixels. `PixelSelection` says which (design section 5).
+only those pixels. `PixelSelection` says which (design section 5); where there is an estimator (`align`,
+`trials`) every subset is its measurement, see `PixelSelection.only`.
 """
 
 from __future__ import annotations

@@ -30,18 +30,21 @@ from .bound import PoseBound, cramer_rao_bound
 from .consistency import Consistency, consistency
 from .errors import OutOfViewError, PrecisionWarning, TrialError
 from .files import atomic
+from .fingerprint import fingerprint, mask_fingerprint
 from .information import ImageJacobian, fisher_information
 from .lending import in_turn
 from .measure import MeasurementOptions, measurement
 from .noise import Gaussian
 from .processes import each
-from .scene import load_scene
+from .scene import as_scene, load_scene
 from .se3 import Array
 from .subset import selected
 
 SCHEMA = "mitsuba-crb/validate/1"
 DEFAULT_SPP = 256
 
+_MEASURED = ("sensor", "method", "seed", "batches", "size", "drop_invalid", "step_pixels", "versions")
+"""What of the settings the expected image's provenance says."""
 _EXPECTED_SPP = 16
 """Paths per pixel of the expected image and its Jacobian, over those of a trial's renders."""
 _CHUNK = 4
@@ -96,6 +99,8 @@ class Validation:
     """Its bound [deg]."""
     excess: float
     """Mean of the trials' excess."""
+    further: tuple[Trial, ...] = ()
+    """What the file that was resumed holds beyond; not judged, but kept."""
 
     @property
     def errors(self) -> Array:
@@ -129,7 +134,7 @@ class Validation:
             "rmse_rotation_deg": self.rmse_rotation_deg,
             "bound_position": self.bound_position,
             "bound_rotation_deg": self.bound_rotation_deg,
-            "results": [dataclasses.asdict(trial) for trial in self.trials],
+            "results": [dataclasses.asdict(trial) for trial in (*self.trials, *self.further)],
         }
 
 
@@ -176,8 +181,8 @@ def validate(
         estimator, levels, iterations: as for `align`.
         confidence: of all bands and intervals.
         workers: processes; None: as many as cores.
-        resume: a JSON file of an earlier run with the same settings; its trials are kept, and new ones are
-            written to it as they end.
+        resume: a JSON file of an earlier run with the same settings, of the same scene, by the same versions;
+            its trials are kept, be they more than `trials`, and new ones are written to it as they end.
         on_trial: called after each trial.
         defines: the scene file's `<default>`s.
         options: see `MeasurementOptions`; `spp` is 256 by default. The bound is that of the pixels that
@@ -195,8 +200,10 @@ def validate(
     named = dict(defines or {})
     loaded = load_scene(scene, **named) if isinstance(scene, str | Path) else scene
     anchor, jacobian, chosen, names = _expected(loaded, sigma, options)
+    selection = dataclasses.asdict(jacobian.selection)
     settings = {
         "scene": str(scene) if isinstance(scene, str | Path) else names["scene"],
+        "scene_contents": fingerprint(as_scene(loaded)[0], scene, named),
         "defines": named,
         "sigma": chosen,
         "perturb_deg": float(perturb_deg),
@@ -204,15 +211,13 @@ def validate(
         "estimator": estimator,
         "levels": levels,
         "iterations": iterations,
-        **{
-            name: jacobian.provenance[name]
-            for name in ("sensor", "method", "seed", "batches", "size", "pixels")
-        },
+        **{name: jacobian.provenance[name] for name in _MEASURED},
+        "pixels": {**selection, "mask": mask_fingerprint(np.isfinite(anchor.batches[0]).all(axis=2))},
         "spp": options["spp"],
         "integrator": names["integrator"],
         "pose": [[round(value, 9) for value in row] for row in anchor.pose.tolist()],
     }
-    done = _resumed(resume, settings, trials)
+    done = _resumed(resume, settings)
     shared = _Setup(
         scene if isinstance(scene, str | Path) else loaded, named, anchor, chosen, settings, options
     )
@@ -223,12 +228,14 @@ def validate(
     for _, results in each(_run, chunks, workers):
         done |= {trial.index: trial for trial in results}
         if resume is not None:
+            done = _resumed(resume, settings) | done  # another run may have written meanwhile
             _write(resume, {"schema": SCHEMA, "settings": settings, "results": _plain(done)})
         if on_trial is not None:
-            on_trial(len(done), trials)
-    ordered = tuple(done[index] for index in range(trials))
+            on_trial(sum(index < trials for index in done), trials)
+    ordered = [done[index] for index in sorted(done)]
     noise = Gaussian(chosen if assumed_sigma is None else assumed_sigma)
-    return _judge(settings, ordered, jacobian, noise, confidence)
+    result = _judge(settings, tuple(ordered[:trials]), jacobian, noise, confidence)
+    return dataclasses.replace(result, further=tuple(ordered[trials:]))
 
 
 @in_turn
@@ -371,27 +378,41 @@ def _plain(done: Mapping[int, Trial]) -> list[dict[str, Any]]:
     return [dataclasses.asdict(done[index]) for index in sorted(done)]
 
 
-def _resumed(file: Path | None, settings: dict[str, Any], trials: int) -> dict[int, Trial]:
-    """The trials of an earlier run."""
+def _resumed(file: Path | None, settings: dict[str, Any]) -> dict[int, Trial]:
+    """The trials of an earlier run, all of them."""
     if file is None or not file.exists():
         return {}
+    no_record = TrialError(f"{file} exists and is no record of trials; name another file")
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
-        schema, before, results = (document[key] for key in ("schema", "settings", "results"))
+        schema, before, results = document["schema"], dict(document["settings"]), list(document["results"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise TrialError(f"{file} exists and is no record of trials; name another file") from error
+        raise no_record from error
     if schema != SCHEMA:
         raise TrialError(f"{file} has the schema {schema!r}, not {SCHEMA!r}; name another file")
-    now = json.loads(json.dumps(settings))
-    changed = [name for name in now if before.get(name) != now[name]]
+    changed = _changes(before, json.loads(json.dumps(settings)))
     if changed:
-        name = changed[0]
         raise TrialError(
-            f"{file} holds trials with {name} = {before.get(name)!r}, not {now[name]!r}; name another file, "
-            "or use the same settings to resume"
+            f"{file} holds trials with {', '.join(changed)}; name another file, or use the same settings to "
+            "resume"
         )
-    found = (Trial(**{**result, "error": tuple(result["error"])}) for result in results)
-    return {trial.index: trial for trial in found if trial.index < trials}
+    try:
+        trials = [Trial(**{**result, "error": tuple(result["error"])}) for result in results]
+    except (KeyError, TypeError) as error:
+        raise no_record from error
+    return {trial.index: trial for trial in trials}
+
+
+def _changes(before: dict[str, Any], now: dict[str, Any], of: str = "") -> list[str]:
+    """What differs between two tables of settings, in words."""
+    found = []
+    for name in dict.fromkeys((*now, *before)):
+        old, new = before.get(name), now.get(name)
+        if isinstance(old, dict) and isinstance(new, dict):
+            found += _changes(old, new, f"{of}{name}.")
+        elif old != new:
+            found.append(f"{of}{name} = {old!r}, not {new!r}")
+    return found
 
 
 def _write(file: Path, document: dict[str, Any]) -> None:

@@ -553,6 +553,12 @@ def test_validate_prints_and_writes_what_it_found(tmp_path, scenes, capsys):
     before = files["json"].read_bytes()
     assert cli.run(["validate", wall, *options, *outputs, "--seed", "1"]) == 2
     assert "name another file" in capsys.readouterr().err
+    assert cli.run(["bound", wall, "--size", "16x12", "--json", str(files["json"])]) == 2
+    assert "trials that would be lost" in capsys.readouterr().err
     assert files["json"].read_bytes() == before
+    # Fewer are judged, and none is lost.
+    assert cli.run(["validate", wall, *options, *outputs, "--trials", "7"]) in (0, 1)
+    assert "7, of which 0 failed; the file holds 1 more" in capsys.readouterr().out
+    assert len(json.loads(files["json"].read_text())["results"]) == 8
     assert cli.run(["validate", wall, *options, "--trials", "0"]) == 2
     assert "at least 7 trials" in capsys.readouterr().err

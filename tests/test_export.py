@@ -246,3 +246,19 @@ def test_target_check_names_what_is_wrong_and_leaves_no_trace(tmp_path):
 def test_target_check_refuses_a_folder_that_cannot_be_written_even_by_root():
     with pytest.raises(OutputError, match="cannot write in the folder /proc/self"):
         check_target(Path("/proc/self/bound.json"), "--json")
+
+
+def test_a_record_of_trials_is_overwritten_by_nothing_else(tmp_path):
+    record = tmp_path / "trials.json"
+    for text in (
+        '{"schema": "mitsuba-crb/validate/1", "results": []}',
+        '{\n  "schema": "mitsuba-crb/validate/1"}',
+    ):
+        record.write_text(text)
+        for option in ("--json", "--exr", "--plot"):
+            with pytest.raises(OutputError, match=f"{option} .*trials that would be lost; name another file"):
+                check_target(record, option)
+        check_target(record, "--json", resumes=True)
+        assert record.read_text() == text
+    record.write_text('{"schema": "mitsuba-crb/bound/1"}')
+    check_target(record, "--json")

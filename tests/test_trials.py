@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,7 @@ import numpy as np
 import pytest
 from small_scenes import camera, textured_wall, torn_wall
 
-from mitsuba_crb import trials
+from mitsuba_crb import measure, trials
 from mitsuba_crb.align import align
 from mitsuba_crb.consistency import Consistency, consistency
 from mitsuba_crb.errors import BlindSpotWarning, OptionError, OutOfViewError, TrialError, RadianceError
@@ -73,6 +75,103 @@ def test_what_the_method_cannot_see_is_said_once_even_if_a_trial_fails(
     with pytest.warns(BlindSpotWarning, match="near plane") as caught, pytest.raises(OptionError):
         validate(cut, trials=8, **OPTIONS)
     assert len(caught) == 1
+
+
+def test_a_smaller_number_of_trials_loses_none(tmp_path: Path) -> None:
+    file = tmp_path / "trials.json"
+    many = validate(textured_wall(), trials=10, resume=file, **OPTIONS)
+    few = validate(textured_wall(), trials=8, resume=file, **OPTIONS)
+    assert few.trials == many.trials[:8]
+    assert few.further == many.trials[8:]
+    assert few.consistency.count == 8
+    assert [result["index"] for result in few.to_dict()["results"]] == list(range(10))
+    # As the command does at its end; a longer run then computes what is missing and nothing else.
+    file.write_text(json.dumps(few.to_dict()))
+    calls: list[tuple[int, int]] = []
+    options = OPTIONS | {"on_trial": lambda done, total: calls.append((done, total))}
+    again = validate(textured_wall(), trials=10, resume=file, **options)
+    assert again.trials == many.trials
+    assert calls == []
+    validate(textured_wall(), trials=11, resume=file, **options)
+    assert calls == [(11, 11)]
+    validate(textured_wall(), trials=7, resume=file, **options)
+    assert len(json.loads(file.read_text())["results"]) == 11
+
+
+def test_two_runs_that_write_one_file_lose_nothing_of_each_other(tmp_path: Path) -> None:
+    file = tmp_path / "trials.json"
+    others: list[Any] = []
+
+    def meanwhile(done: int, total: int) -> None:
+        if not others:
+            others.append(validate(textured_wall(), trials=12, resume=file, **OPTIONS))
+
+    validate(textured_wall(), trials=8, resume=file, on_trial=meanwhile, **OPTIONS)
+    assert [result["index"] for result in json.loads(file.read_text())["results"]] == list(range(12))
+
+
+def _left_half() -> Any:
+    mask = np.zeros((12, 16), dtype=bool)
+    mask[:, :8] = True
+    return mask
+
+
+@pytest.mark.parametrize(
+    ("before", "change", "message"),
+    [
+        ({}, {"drop_invalid": True}, "drop_invalid = False, not True"),
+        ({"method": "finite_difference"}, {"step_pixels": 0.3}, r"step_pixels = 0\.15, not 0\.3"),
+        ({"pixels": _left_half()}, {"pixels": ~_left_half()}, "pixels.mask = "),
+        ({}, {"pixels": "random:0.5"}, "pixels.kind = 'all', not 'only', pixels.selected = 192, not 96"),
+        ({}, {"iterations": 29, "seed": 6}, "iterations = 30, not 29, seed = 5, not 6"),
+    ],
+)
+def test_what_changes_a_result_is_not_resumed(tmp_path: Path, before: Any, change: Any, message: str) -> None:
+    file, options = tmp_path / "trials.json", OPTIONS | {"spp": 16, "trials": 7} | before
+    validate(textured_wall(), resume=file, **options)
+    kept = file.read_bytes()
+    with pytest.raises(TrialError, match=message):
+        validate(textured_wall(), resume=file, **(options | change))
+    assert file.read_bytes() == kept
+
+
+def test_another_scene_under_the_same_name_is_not_resumed(tmp_path: Path, scenes: Path) -> None:
+    for name in ("textured_wall.xml", "paint.exr"):
+        shutil.copy(scenes / "textured_wall" / name, tmp_path)
+    path, file = tmp_path / "textured_wall.xml", tmp_path / "trials.json"
+    options = OPTIONS | {"spp": 16, "trials": 7, "resume": file}
+    validate(path, **options)
+    text = path.read_text()
+    path.write_text(text.replace("</scene>", "<!-- edited --></scene>"))
+    with pytest.raises(TrialError, match=r"scene_contents = '\w+', not '\w+'; name another file"):
+        validate(path, **options)
+    path.write_text(text)
+    validate(path, **options)
+    shutil.copy(scenes / "warehouse" / "lanes.exr", tmp_path / "paint.exr")
+    with pytest.raises(TrialError, match="scene_contents"):
+        validate(path, **options)
+    file.unlink()
+    validate(textured_wall(), **options)
+    with pytest.raises(TrialError, match="scene_contents"):
+        validate(textured_wall(sphere={"type": "sphere", "center": [0, 0, 2], "radius": 0.1}), **options)
+
+
+def test_other_versions_are_named_and_not_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    options = OPTIONS | {"spp": 16, "trials": 7, "resume": tmp_path / "trials.json"}
+    validate(textured_wall(), **options)
+    others = {**measure.versions(), "mitsuba": "3.8.0"}
+    monkeypatch.setattr(measure, "versions", lambda: others)
+    with pytest.raises(TrialError, match=r"versions\.mitsuba = '[\d.]+', not '3\.8\.0'; name another file"):
+        validate(textured_wall(), **options)
+
+
+def test_every_option_that_changes_a_result_is_among_the_settings(tmp_path: Path) -> None:
+    """`tile` bounds memory only, and `on_tile` looks on."""
+    found = validate(textured_wall(), **(OPTIONS | {"spp": 16, "trials": 7}))
+    assert set(measure.MeasurementOptions.__annotations__) - found.settings.keys() == {"tile", "on_tile"}
+    arguments = inspect.signature(validate).parameters.keys() - found.settings.keys()
+    judging = {"trials", "assumed_sigma", "confidence", "workers", "resume", "on_trial", "options"}
+    assert arguments == judging
 
 
 @pytest.mark.parametrize("levels", [0, 1])
@@ -201,7 +300,17 @@ def test_impossible_trials_are_refused(change: Any, error: type[Exception], mess
         validate(textured_wall(), **(OPTIONS | change))
 
 
-@pytest.mark.parametrize("text", ["not json", '{"schema": "other/1", "settings": {}, "results": []}', "[]"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "not json",
+        "[]",
+        '{"schema": "other/1", "settings": {}, "results": []}',
+        '{"schema": "mitsuba-crb/validate/1", "settings": [], "results": []}',
+        '{"schema": "mitsuba-crb/validate/1", "settings": {}, "results": [{"index": 0}]}',
+        '{"schema": "mitsuba-crb/validate/1", "settings": {}, "results": 3}',
+    ],
+)
 def test_a_file_that_is_no_record_of_trials_is_left_alone(tmp_path: Path, text: str) -> None:
     file = tmp_path / "something.json"
     file.write_text(text)
