@@ -110,7 +110,8 @@ class ImageJacobian:
     pixels: NDArray[np.integer]
     """(n, 2): column x and row y."""
     image: Array
-    """(H, W, C) linear radiance; NaN where it was not measured."""
+    """(H, W, C) linear radiance, by the derivative's own paths, whose errors it shares; NaN where it was not
+    measured."""
     frame: Frame
     """The twist's frame, `"camera"` or `"world"`."""
     pose: Array

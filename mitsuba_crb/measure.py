@@ -188,7 +188,7 @@ class TileJacobian:
     pixels: NDArray[np.int64]
     """(n, 2) columns and rows."""
     mean: NDArray[np.float64]
-    """(n, 3) the image there [radiance]."""
+    """(n, 3) the image there, by the derivative's own paths [radiance]."""
     nuisance_values: NDArray[np.float64] | None = None
     """(K, n, 3, m) estimates of the derivatives in the nuisance parameters; None without any."""
 
@@ -389,13 +389,13 @@ class Measurement:
         """The Jacobian, one tile after the other."""
         paths = {"spp": self.spp, "seed": self.seed, "batches": self.batches}
         done, total, invalid = 0, int(self.mask.sum()), 0
-        for part, (values, images) in self._in_turn(paths):
+        for part, (values, images, image) in self._in_turn(paths):
             values, film = values[..., :6], values[..., 6:]
             others = None
             if self.nuisances:
                 others = nuisance_columns(self.nuisances, self.view, part, images, film, **paths)
             done += len(part)
-            tile = TileJacobian(values, part, images.mean(axis=0), others).finite()
+            tile = TileJacobian(values, part, image, others).finite()
             invalid += len(part) - len(tile.pixels)
             if self.on_tile is not None:
                 self.on_tile(tile, done, total)
@@ -431,7 +431,8 @@ def _at_once(
 ) -> Iterator[Any]:
     """A tile's Jacobian in the last of four steps."""
     yield from (None, None, None)
-    yield jacobian(view, part, **options)
+    values, images = jacobian(view, part, **options)
+    yield values, images, images.mean(axis=0)
 
 
 @contextlib.contextmanager

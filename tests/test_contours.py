@@ -269,7 +269,7 @@ def without_contours(
 ) -> np.ndarray:
     """Filter and view terms (batches, n, 3, 6)."""
     given = Given([mi.Color3f(np.tile(baseline, (options["batches"], 1)).T)])
-    columns, image = flow.filter_and_view_terms(view, prepared, pixels, given, **options)()
+    columns, image, _ = flow.filter_and_view_terms(view, prepared, pixels, given, **options)()
     return flow.as_arrays([*columns, image], options["batches"])[0]
 
 

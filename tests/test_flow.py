@@ -29,6 +29,7 @@ from mitsuba_crb.jacobian.pixels import (
     lane_sampler,
     move_ray,
     opaque_transform,
+    render_pixels,
     seeding,
 )
 from mitsuba_crb.jacobian.view_term import ViewTerm, _turn_of_lobes
@@ -240,6 +241,44 @@ def test_few_paths_per_batch_stay_unbiased(name: str, per_batch: int) -> None:
     slope = np.einsum("kncj,ncj->kj", values, mean) / np.einsum("ncj,ncj->j", mean, mean)
     error = slope.std(axis=0, ddof=1) / np.sqrt(batches)
     assert np.all(np.abs(slope.mean(axis=0) - 1.0) < 4 * error + 0.01)
+
+
+# The image
+
+
+@pytest.mark.parametrize("name", ["gaussian", "mitchell", "tent"])
+def test_the_image_is_as_clean_as_a_plain_render(name: str) -> None:
+    """Beside a lamp too, where the coarse pilot is far off and the batches' own images have specks."""
+    with open_view(lamp_before_a_wall(name)) as view:
+        pixels = all_pixels(view)
+        truth = render_pixels(view, pixels, spp=8192, seed=1)[0]
+        plain = render_pixels(view, pixels, spp=64, seed=2)[0]
+        *_, images, image = measured(view, pixels, spp=64)
+    beside = truth.max(axis=1) < 1.5
+    error, usual, control = (np.abs(a - truth)[beside] for a in (image, plain, images.mean(axis=0)))
+    # Pairs are not spread as the filter is, but share out their numbers: about as many paths' worth.
+    assert np.sqrt(np.mean(error**2)) < 1.5 * np.sqrt(np.mean(usual**2))
+    assert error.max() < 1.5 * usual.max()
+    assert control.max() > 3.0 * error.max()
+
+
+@pytest.mark.parametrize("name", ["gaussian", "mitchell", "lanczos", "box"])
+def test_the_image_of_few_paths_is_finite(name: str) -> None:
+    with open_view(lamp_before_a_wall(name)) as view:
+        *_, image = measured(view, all_pixels(view), spp=4)
+    assert np.isfinite(image).all()
+
+
+def lamp_before_a_wall(filter_name: str) -> dict[str, Any]:
+    light = {"type": "area", "radiance": {"type": "rgb", "value": 20.0}}
+    lamp = {"type": "sphere", "center": [0.2, 0.1, 2.0], "radius": 0.4, "emitter": light}
+    return scene(wall=wall(texture()), lamp=lamp, sensor=with_filter(filter_name))
+
+
+def measured(view: View, pixels: np.ndarray, *, spp: int) -> Any:
+    """Jacobian, each batch's image, and the image (n, 3)."""
+    pilot = flow.Pilot.of(view, np.ones(view.size[::-1], dtype=bool), 0)
+    return list(flow.steps(view, pixels, flow.prepare(view), pilot, spp=spp, seed=0, batches=4))[-1]
 
 
 # Paths

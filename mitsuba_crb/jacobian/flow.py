@@ -212,14 +212,14 @@ def jacobian(
 
     Returns:
         (batches, n, 3, 6 + m) Jacobians [radiance / scene unit, radiance / rad, and per unit of the m film
-        parameters], and the image (batches, n, 3).
+        parameters], and each batch's image (batches, n, 3), unbiased.
     """
     prepared = prepare(view) if prepared is None else prepared
     mask = np.zeros(view.size[::-1], dtype=bool)
     mask[pixels[:, 1], pixels[:, 0]] = True
     pilot = Pilot.of(view, mask, seed)
-    *_, (values, image) = steps(view, pixels, prepared, pilot, spp=spp, seed=seed, batches=batches)
-    return values, image
+    *_, (values, images, _) = steps(view, pixels, prepared, pilot, spp=spp, seed=seed, batches=batches)
+    return values, images
 
 
 def steps(
@@ -232,7 +232,7 @@ def steps(
     seed: int,
     batches: int,
 ) -> Iterator[Any]:
-    """As `jacobian`, in four steps; the last one's item is its result.
+    """As `jacobian`, in four steps; the last one's item is its result, and the image (n, 3) of all batches.
 
     The first readies paths, the second starts them in the background, the third waits for what runs there,
     the fourth sums up. So one tile can be readied, and the one before summed up, while paths are traced.
@@ -247,11 +247,12 @@ def steps(
         beside = parallax_steps(view, contours, pixels, baseline, **options)
     else:
         beside = _differences(view, contours, pixels, **options)
-    columns, image = start()
+    columns, image, total = start()
     next(beside)
     yield
     # Shares Dr.Jit's memory, but to look there later would be to wait for the next tile's paths.
     colors = [[np.asarray(channel) for channel in color] for color in (*columns, image)]
+    totals, baseline = np.asarray(total).reshape(batches, -1), pilot.values(pixels)
     next(beside)
     yield
     jacobians, images = as_arrays(colors, batches)
@@ -259,7 +260,20 @@ def steps(
     if not isinstance(contours, Contours):
         jacobians[..., :3] = 0.0
     jacobians[:, rows, :, : terms.shape[-1]] += terms
-    yield jacobians, images
+    yield jacobians, images, _normalised(images, totals, baseline)
+
+
+def _normalised(
+    images: NDArray[np.float64], totals: NDArray[np.floating[Any]], baseline: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Σ w L / Σ w = Ī + Σ w (L − Ī) / Σ w, the image (n, 3) of all batches.
+
+    Each batch's own image Ī + Σ w (L − Ī) is unbiased, but where the coarse Ī is far off, the noise of Σ w
+    makes a speck of that. `images` is (K, n, 3), `totals` Σ w (K, n), of mean one, `baseline` Ī (n, 3).
+    """
+    # A few weights of a filter with negative lobes may add up to nothing: then the baseline is the image.
+    total = np.maximum(totals.mean(axis=0), 0.5)[:, None]
+    return np.asarray(baseline + (images.mean(axis=0) - baseline) / total)
 
 
 def _differences(
@@ -290,11 +304,11 @@ def filter_and_view_terms(
     spp: int,
     seed: int,
     batches: int,
-) -> Callable[[], tuple[list[mi.Color3f], mi.Color3f]]:
+) -> Callable[[], tuple[list[mi.Color3f], mi.Color3f, mi.Float]]:
     """What starts the paths of some pixels in the background, without the contours' part.
 
     Returns:
-        A function that gives the columns and the image of each lane.
+        A function that gives the columns, the image and its weights' sum of each lane.
     """
     import mitsuba as mi
 
@@ -317,11 +331,11 @@ def filter_and_view_terms(
         "parts": own,
     }
 
-    def body(arrays: dict[str, Any]) -> tuple[list[mi.Color3f], mi.Color3f]:
+    def body(arrays: dict[str, Any]) -> tuple[list[mi.Color3f], mi.Color3f, mi.Float]:
         lanes = Lanes(*arrays["lanes"])
         seeds, even_seeds = arrays["seeds"]
         given = dict(zip(_TRACED, join(parts, iter(arrays["parts"])), strict=True))
-        columns, image = _sum_pairs(
+        columns, image, total = _sum_pairs(
             view,
             replace(prepared, **given),
             lane_sampler(lanes.pixel, lanes.batch, seeds),
@@ -332,7 +346,7 @@ def filter_and_view_terms(
             arrays["number"],
             arrays["starts"],
         )
-        return columns, image
+        return columns, image, total
 
     own_integrator = isinstance(prepared.tracer, IntegratorTracer)
     return view.recorder.ready("pairs", body, view, arrays, None if own_integrator else key)
@@ -358,15 +372,15 @@ def _sum_pairs(
     counts: list[mi.Float],
     number: mi.UInt32,
     starts: mi.UInt32,
-) -> tuple[list[mi.Color3f], mi.Color3f]:
-    """The columns and the image of each lane; equal kernels for all tiles, seeds and poses."""
+) -> tuple[list[mi.Color3f], mi.Color3f, mi.Float]:
+    """Columns, image and the sum of its weights, by lane; equal kernels for all tiles, seeds and poses."""
     import mitsuba as mi
 
     pairs, transform = prepared.pairs, prepared.transform
     view_term: Any = prepared.view_term
     world_to_camera = transform.inverse()
     columns = [mi.Color3f(0.0) for _ in range(6 + len(prepared.film_flows))]
-    image = mi.Color3f(0.0)
+    image, total = mi.Color3f(0.0), mi.Float(0.0)
     turns = (number + (pairs.kinds - 1)) // pairs.kinds
     start = mi.UInt32(sampler.next_1d() * mi.Float(starts))
     state = mi.UInt64(sampler.rng.state)
@@ -436,6 +450,7 @@ def _sum_pairs(
             columns[k] += (light - baseline) * weights[k]
         # With the baseline: the weights' own noise, whose mean is 1, would otherwise scale the whole image.
         image += (light - baseline) * half.value
+        total += half.value
 
         if dr.hint(view_term is not None, mode="scalar"):
             tangent = _tangent(ray.d, angle, mirrored)
@@ -455,7 +470,7 @@ def _sum_pairs(
                 columns[k] += change * tangent[k]
                 columns[k + 3] += change * turning[k]
         i += 1
-    return columns, image + baseline
+    return columns, image + baseline, total
 
 
 def _tangent(direction: mi.Vector3f, turn: mi.Float, mirrored: mi.Bool) -> mi.Vector3f:
