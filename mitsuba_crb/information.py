@@ -110,8 +110,8 @@ class ImageJacobian:
     pixels: NDArray[np.integer]
     """(n, 2): column x and row y."""
     image: Array
-    """(H, W, C) linear radiance, by the derivative's own paths, whose errors it shares; NaN where it was not
-    measured."""
+    """(H, W, C) linear radiance, to be shown; NaN where it was not measured. By the derivative's own paths,
+    whose errors it shares: what must be independent of them, or unbiased, needs a render of its own."""
     frame: Frame
     """The twist's frame, `"camera"` or `"world"`."""
     pose: Array

@@ -19,7 +19,7 @@ import pytest
 from scipy.stats import norm
 from small_scenes import T, camera, scene, texture, textured_wall, wall
 
-from mitsuba_crb import pose_bound, se3
+from mitsuba_crb import pose_bound, pose_jacobian, se3
 from mitsuba_crb.errors import FilmError, PrecisionWarning
 from mitsuba_crb.jacobian import flow, paths
 from mitsuba_crb.jacobian.pairs import PairSample, filter_pairs
@@ -260,6 +260,21 @@ def test_the_image_is_as_clean_as_a_plain_render(name: str) -> None:
     assert np.sqrt(np.mean(error**2)) < 1.5 * np.sqrt(np.mean(usual**2))
     assert error.max() < 1.5 * usual.max()
     assert control.max() > 3.0 * error.max()
+
+
+def test_no_pixel_of_a_plain_wall_stands_out() -> None:
+    """A lamp behind the camera makes noise alone: 5 standard deviations are for 1 in 500 such images."""
+    light = {"type": "area", "radiance": {"type": "rgb", "value": 3.0}}
+    lamp = {"type": "rectangle", "to_world": T().translate([0, 0, -1]).scale(2.0), "emitter": light}
+    which = scene(wall=wall(), lamp=lamp, sensor=camera(64, 48))
+    with open_view(which) as view:
+        pixels = all_pixels(view)
+        truth = render_pixels(view, pixels, spp=1024, seed=1)[0, :, 0]
+        *_, images, image = measured(view, pixels, spp=64)
+    np.testing.assert_array_equal(pose_jacobian(which, spp=64).image.reshape(-1, 3), image)
+    for shown, stands_out in ((image[:, 0], False), (images.mean(axis=0)[:, 0], True)):
+        error = shown - truth
+        assert (np.abs(error).max() > 5.0 * error.std()) == stands_out
 
 
 @pytest.mark.parametrize("name", ["gaussian", "mitchell", "lanczos", "box"])

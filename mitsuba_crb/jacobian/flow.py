@@ -247,12 +247,13 @@ def steps(
         beside = parallax_steps(view, contours, pixels, baseline, **options)
     else:
         beside = _differences(view, contours, pixels, **options)
-    columns, image, total = start()
+    columns, image, shown = start()
     next(beside)
     yield
     # Shares Dr.Jit's memory, but to look there later would be to wait for the next tile's paths.
     colors = [[np.asarray(channel) for channel in color] for color in (*columns, image)]
-    totals, baseline = np.asarray(total).reshape(batches, -1), pilot.values(pixels)
+    sums = np.array([np.asarray(channel).reshape(batches, -1).mean(axis=0) for channel in shown])
+    baseline = pilot.values(pixels)
     next(beside)
     yield
     jacobians, images = as_arrays(colors, batches)
@@ -260,20 +261,8 @@ def steps(
     if not isinstance(contours, Contours):
         jacobians[..., :3] = 0.0
     jacobians[:, rows, :, : terms.shape[-1]] += terms
-    yield jacobians, images, _normalised(images, totals, baseline)
-
-
-def _normalised(
-    images: NDArray[np.float64], totals: NDArray[np.floating[Any]], baseline: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Σ w L / Σ w = Ī + Σ w (L − Ī) / Σ w, the image (n, 3) of all batches.
-
-    Each batch's own image Ī + Σ w (L − Ī) is unbiased, but where the coarse Ī is far off, the noise of Σ w
-    makes a speck of that. `images` is (K, n, 3), `totals` Σ w (K, n), of mean one, `baseline` Ī (n, 3).
-    """
-    # A few weights of a filter with negative lobes may add up to nothing: then the baseline is the image.
-    total = np.maximum(totals.mean(axis=0), 0.5)[:, None]
-    return np.asarray(baseline + (images.mean(axis=0) - baseline) / total)
+    # A few weights of a filter with negative lobes may add up to nothing: then the pilot is what is left.
+    yield jacobians, images, baseline + (sums[:3] / np.maximum(sums[3], 0.5)).T
 
 
 def _differences(
@@ -304,11 +293,11 @@ def filter_and_view_terms(
     spp: int,
     seed: int,
     batches: int,
-) -> Callable[[], tuple[list[mi.Color3f], mi.Color3f, mi.Float]]:
+) -> Callable[[], tuple[list[mi.Color3f], mi.Color3f, mi.Vector4f]]:
     """What starts the paths of some pixels in the background, without the contours' part.
 
     Returns:
-        A function that gives the columns, the image and its weights' sum of each lane.
+        A function that gives the columns, the image, and what `_sum_pairs` makes to be shown, of each lane.
     """
     import mitsuba as mi
 
@@ -328,14 +317,15 @@ def filter_and_view_terms(
         "counts": [dr.opaque(mi.Float, count) for count in counts],
         "number": dr.opaque(mi.UInt32, number),
         "starts": dr.opaque(mi.UInt32, pairs.kinds if few else 1),
+        "most": dr.opaque(mi.Float, np.sqrt(2 * number * batches) / (2 * number)),
         "parts": own,
     }
 
-    def body(arrays: dict[str, Any]) -> tuple[list[mi.Color3f], mi.Color3f, mi.Float]:
+    def body(arrays: dict[str, Any]) -> tuple[list[mi.Color3f], mi.Color3f, mi.Vector4f]:
         lanes = Lanes(*arrays["lanes"])
         seeds, even_seeds = arrays["seeds"]
         given = dict(zip(_TRACED, join(parts, iter(arrays["parts"])), strict=True))
-        columns, image, total = _sum_pairs(
+        columns, image, shown = _sum_pairs(
             view,
             replace(prepared, **given),
             lane_sampler(lanes.pixel, lanes.batch, seeds),
@@ -345,8 +335,9 @@ def filter_and_view_terms(
             arrays["counts"],
             arrays["number"],
             arrays["starts"],
+            arrays["most"],
         )
-        return columns, image, total
+        return columns, image, shown
 
     own_integrator = isinstance(prepared.tracer, IntegratorTracer)
     return view.recorder.ready("pairs", body, view, arrays, None if own_integrator else key)
@@ -372,15 +363,21 @@ def _sum_pairs(
     counts: list[mi.Float],
     number: mi.UInt32,
     starts: mi.UInt32,
-) -> tuple[list[mi.Color3f], mi.Color3f, mi.Float]:
-    """Columns, image and the sum of its weights, by lane; equal kernels for all tiles, seeds and poses."""
+    most: mi.Float,
+) -> tuple[list[mi.Color3f], mi.Color3f, mi.Vector4f]:
+    """The columns and the image of each lane; equal kernels for all tiles, seeds and poses.
+
+    And Σ w (L − Ī) and Σ w, of which Ī + Σ w (L − Ī) / Σ w is an image to be shown: the image itself is
+    unbiased, but few of its weights are so large, and the coarse Ī is so far off, that it has specks. These w
+    are no larger than `most`, √n times the mean of n paths': truncated importance sampling (Ionides 2008).
+    """
     import mitsuba as mi
 
     pairs, transform = prepared.pairs, prepared.transform
     view_term: Any = prepared.view_term
     world_to_camera = transform.inverse()
     columns = [mi.Color3f(0.0) for _ in range(6 + len(prepared.film_flows))]
-    image, total = mi.Color3f(0.0), mi.Float(0.0)
+    image, shown = mi.Color3f(0.0), mi.Vector4f(0.0)
     turns = (number + (pairs.kinds - 1)) // pairs.kinds
     start = mi.UInt32(sampler.next_1d() * mi.Float(starts))
     state = mi.UInt64(sampler.rng.state)
@@ -402,6 +399,7 @@ def _sum_pairs(
             baseline,
             number,
             start,
+            most,
             turns,
             transform,
             world_to_camera,
@@ -450,7 +448,8 @@ def _sum_pairs(
             columns[k] += (light - baseline) * weights[k]
         # With the baseline: the weights' own noise, whose mean is 1, would otherwise scale the whole image.
         image += (light - baseline) * half.value
-        total += half.value
+        bounded = dr.clip(half.value, -most, most)
+        shown += bounded * mi.Vector4f(*(light - baseline), 1.0)
 
         if dr.hint(view_term is not None, mode="scalar"):
             tangent = _tangent(ray.d, angle, mirrored)
@@ -470,7 +469,7 @@ def _sum_pairs(
                 columns[k] += change * tangent[k]
                 columns[k + 3] += change * turning[k]
         i += 1
-    return columns, image + baseline, total
+    return columns, image + baseline, shown
 
 
 def _tangent(direction: mi.Vector3f, turn: mi.Float, mirrored: mi.Bool) -> mi.Vector3f:
