@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import textwrap
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +18,6 @@ from .export import Pictures
 from .files import atomic
 from .plot import (
     AXIS_NAMES,
-    MAP_BLOCK,
     MUTED,
     column_limit,
     draw_column,
@@ -25,6 +25,7 @@ from .plot import (
     draw_information,
     draw_picture,
     draw_render,
+    map_block,
 )
 
 if TYPE_CHECKING:
@@ -38,12 +39,14 @@ _WORLD_AXES = ("world x", "world y", "world z")
 
 # inches
 _WIDTH, _LEFT, _RIGHT, _GAP, _BAR_GAP = 16.0, 0.4, 1.0, 0.2, 1.2
-_HEADER, _CAPTION, _PANEL, _PANEL_GAP = 0.85, 0.55, 1.35, 0.55
+_BOX = (_WIDTH - _LEFT - _RIGHT - _BAR_GAP - 2 * _GAP) / 4  # a picture's width, at most
+_HEADER, _CAPTION, _PANEL = 0.85, 0.55, 1.2
 _HEADS = 1.0  # two lines above the ellipsoids
-_WORDS = 0.6  # below the weakest direction's picture, and below the ellipsoids
+_WORDS = 0.75  # below the weakest direction's picture, and below the ellipsoids
 _BAR = (0.12, 0.14)  # distance and width of a colour bar
 _TALLEST = 1.2  # a picture's box, in its widths
 
+_Real = TypeVar("_Real", np.float32, np.float64)
 Place = Callable[[float, float, float, float], "Axes"]
 
 
@@ -54,9 +57,11 @@ def bound_figure(bound: PoseBound, pictures: Pictures, *, sigma: float = 1.0) ->
     columns beside them (one colour scale for translation, one for rotation), the position and rotation
     ellipsoids at `sigma` standard deviations below.
     """
+    selection = bound.information.selection
+    if selection.kind == "random":  # stands for the whole image
+        pictures = _whole(pictures, selection.selected / selection.total)
     height, width = pictures.image.shape[:2]
-    box = (_WIDTH - _LEFT - _RIGHT - _BAR_GAP - 2 * _GAP) / 4
-    high = box * min(height / width, _TALLEST)
+    high = _BOX * min(height / width, _TALLEST)
     wide = high * width / height
     total = _HEADER + 2 * (high + _CAPTION) + max(_CAPTION + high, _HEADS + _PANEL) + _WORDS
     figure = Figure(figsize=(_WIDTH, total), facecolor="white")
@@ -66,8 +71,8 @@ def bound_figure(bound: PoseBound, pictures: Pictures, *, sigma: float = 1.0) ->
         return figure.add_axes((left / _WIDTH, 1 - (top + high) / total, wide / _WIDTH, high / total))
 
     _title(figure, bound, pictures, total)
-    lefts = [_LEFT, *(_LEFT + box + _BAR_GAP + axis * (box + _GAP) for axis in range(3))]
-    lefts = [left + (box - wide) / 2 for left in lefts]
+    lefts = [_LEFT, *(_LEFT + _BOX + _BAR_GAP + axis * (_BOX + _GAP) for axis in range(3))]
+    lefts = [left + (_BOX - wide) / 2 for left in lefts]
     tops = [_HEADER + _CAPTION + row * (high + _CAPTION) for row in range(2)]
     grid = [[place(left, top, wide, high) for left in lefts] for top in tops]
 
@@ -75,14 +80,12 @@ def bound_figure(bound: PoseBound, pictures: Pictures, *, sigma: float = 1.0) ->
         return place(lefts[column] + wide + _BAR[0], tops[row], _BAR[1], high)
 
     image, columns = pictures.image, pictures.columns
-    if bound.information.selection.kind == "random":  # stands for the whole image, so show it whole
-        image, columns = _filled(image), _filled(columns)
     draw_render(grid[0][0], image)
     _caption(grid[0][0], "Render", "sRGB, white at the 99th percentile", wide)
-    _caption(grid[1][0], "Fisher information", f"trace per {MAP_BLOCK}×{MAP_BLOCK} block", wide)
+    _caption(grid[1][0], "Fisher information", f"trace per {_cell(width)}", wide)
     if bound.rank:
         drawn = draw_information(grid[1][0], pictures.information)
-        figure.colorbar(drawn, cax=place_bar(0, 1)).ax.tick_params(which="both", labelsize=8)
+        _map_bar(figure, drawn, place_bar(0, 1))
     else:
         _empty(grid[1][0], (height, width))
 
@@ -97,8 +100,8 @@ def bound_figure(bound: PoseBound, pictures: Pictures, *, sigma: float = 1.0) ->
         _signed_bar(figure, drawn, place_bar(3, row), f"radiance / {unit}")
 
     top = tops[1] + high
-    _weakest(place, pictures, (lefts[0], top + _CAPTION, wide, high))
-    _ellipsoids(place, bound, _LEFT + box + _BAR_GAP - 0.15, top, sigma)
+    _weakest(figure, place, pictures, (lefts[0], top + _CAPTION, wide, high))
+    _ellipsoids(place, bound, _LEFT + _BOX + _BAR_GAP - 0.15, top, sigma)
     return figure
 
 
@@ -115,6 +118,17 @@ def _caption(ax: Axes, name: str, explanation: str, wide: float) -> None:
         ax.set_title(explanation, loc="right", fontsize=9, color=MUTED, pad=5)
 
 
+def _cell(width: int) -> str:
+    """What one value of a map of an image of this width is for."""
+    block = map_block(width)
+    return f"{block}×{block} pixels" if block > 1 else "pixel"
+
+
+def _map_bar(figure: Figure, drawn: AxesImage, cax: Axes) -> None:
+    bar = figure.colorbar(drawn, cax=cax, extend="min", extendfrac=0.03)
+    bar.ax.tick_params(which="both", labelsize=8)
+
+
 def _signed_bar(figure: Figure, drawn: AxesImage, cax: Axes, label: str) -> None:
     # the power of ten goes into the label: matplotlib would put it where the next caption is
     limit = float(drawn.get_clim()[1])
@@ -126,7 +140,18 @@ def _signed_bar(figure: Figure, drawn: AxesImage, cax: Axes, label: str) -> None
     bar.set_label(rf"$10^{{{exponent}}}$ {label}" if exponent else label, fontsize=9)
 
 
-def _filled(values: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[Any]]:
+def _whole(pictures: Pictures, fraction: float) -> Pictures:
+    """A random subset, this fraction of all pixels, with the nearest one's values everywhere."""
+    return dataclasses.replace(
+        pictures,
+        image=_filled(pictures.image),
+        columns=_filled(pictures.columns),
+        information=fraction * _filled(pictures.information),
+        weakest_share=fraction * _filled(pictures.weakest_share),
+    )
+
+
+def _filled(values: npt.NDArray[_Real]) -> npt.NDArray[_Real]:
     """(H, W, ...) with every unmeasured pixel given its nearest measured one's value."""
     from scipy.ndimage import distance_transform_edt
 
@@ -134,7 +159,7 @@ def _filled(values: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[An
     if measured.all() or not measured.any():
         return values
     rows, columns = distance_transform_edt(~measured, return_distances=False, return_indices=True)
-    filled: npt.NDArray[np.floating[Any]] = values[rows, columns]
+    filled: npt.NDArray[_Real] = values[rows, columns]
     return filled
 
 
@@ -142,8 +167,12 @@ def _title(figure: Figure, bound: PoseBound, pictures: Pictures, total: float) -
     facts = bound.provenance
     height, width = pictures.image.shape[:2]
     parts = [f"{width}×{height} pixels"]
-    if bound.information.selection.kind != "all":
-        parts.append(f"{bound.information.selection.description} of them")
+    selection = bound.information.selection
+    if selection.kind != "all":
+        shown = ", the nearest one shown for the others" if selection.kind == "random" else ""
+        parts.append(f"{selection.description} of them{shown}")
+    if not np.isfinite(pictures.image).all():
+        parts.append("grey: not measured")
     if "method" in facts:
         parts.append(f"{facts['method']}, {facts['spp']} spp")
     if "sigma" in facts.get("noise", {}):
@@ -156,18 +185,19 @@ def _title(figure: Figure, bound: PoseBound, pictures: Pictures, total: float) -
     figure.text(left, 1 - 0.58 / total, summary, fontsize=10.5, color=MUTED, va="top")
 
 
-def _weakest(place: Place, pictures: Pictures, box: tuple[float, float, float, float]) -> None:
+def _weakest(
+    figure: Figure, place: Place, pictures: Pictures, box: tuple[float, float, float, float]
+) -> None:
     """Where the information about the weakest direction is, and that direction in words."""
     left, top, wide, high = box
     ax = place(left, top, wide, high)
-    _caption(ax, "Weakest direction", f"share per {MAP_BLOCK}×{MAP_BLOCK} block", wide)
+    _caption(ax, "Weakest direction", f"share per {_cell(pictures.image.shape[1])}", wide)
     if pictures.weakest is None:
         _empty(ax, pictures.image.shape[:2])
         return
     drawn = draw_information(ax, pictures.weakest_share)
-    bar = place(left + wide + _BAR[0], top, _BAR[1], high)
-    ax.figure.colorbar(drawn, cax=bar).ax.tick_params(which="both", labelsize=8)
-    words = textwrap.fill(pictures.weakest.description, int(18 * max(wide, 2.5)))
+    _map_bar(figure, drawn, place(left + wide + _BAR[0], top, _BAR[1], high))
+    words = textwrap.fill(pictures.weakest.description, int(18 * _BOX))
     ax.text(0, -0.03, words, transform=ax.transAxes, va="top", fontsize=8, color=MUTED)
 
 
@@ -185,7 +215,7 @@ def _ellipsoids(place: Place, bound: PoseBound, left: float, top: float, sigma: 
         ("rotation", "Rotation about camera axes", bound.rotation_std_deg, "°"),
     )
     for group, (kind, head, deviations, unit) in enumerate(heads):
-        lefts = [left + (3 * group + panel) * step + 0.7 * _PANEL_GAP for panel in range(3)]
+        lefts = [left + (3 * group + panel) * step + 0.4 for panel in range(3)]
         panels = [place(left, top + _HEADS, _PANEL, _PANEL) for left in lefts]
         draw_ellipsoid(panels, bound, kind, sigma=sigma)
         numbers = ", ".join(

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from .bound import PoseBound
 
-MAP_BLOCK = 16
-"""Side of the blocks of the information map [pixel]."""
+MAP_CELLS = 64
+"""Cells that the information map is wide, at least, where the image has so many pixels."""
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # ITU-R BT.709, of linear RGB
 _UNMEASURED = "#c9c9c9"
@@ -36,6 +36,8 @@ _RULES = ("#e6550d", "#1b7837", "#2166ac", "#762a83", "#606060")
 AXIS_NAMES = {"position": ("x", "y", "z"), "rotation": ("pitch", "yaw", "roll")}
 _UNITS = {"position": "scene unit", "rotation": "deg"}
 _PLANES = ((0, 1), (0, 2), (1, 2))
+
+_SPAN = 1e-4  # of a map's largest value, and the smallest that has a colour of its own
 
 # An unseen axis tilted out of a plane by less than this leaves the plane's picture finite; the same share
 # (0.1² = 0.01) decides which standard deviations are infinite.
@@ -77,29 +79,44 @@ def column_limit(columns: npt.NDArray[np.floating[Any]]) -> float:
     return limit or float(magnitude.max(initial=0.0)) or 1.0
 
 
+def map_block(width: int) -> int:
+    """Side of the square blocks of which a map of an image of this width shows one value each [pixel]."""
+    return max(1, width // MAP_CELLS)
+
+
 def draw_information(
-    ax: Axes, information: npt.NDArray[np.floating[Any]], *, block: int = MAP_BLOCK
+    ax: Axes, information: npt.NDArray[np.floating[Any]], *, block: int | None = None
 ) -> AxesImage:
     """The trace of the scaled Fisher information of every block of pixels, on a logarithmic scale.
 
     Args:
         ax: where to draw.
         information: (H, W) the pixels' shares of the trace (`Pictures.information`), in the noise
-            model's units; NaN (not measured) counts as nothing. Blocks whose estimate is not positive
-            are drawn grey.
-        block: the side of a block [pixel].
+            model's units; NaN (not measured) counts as nothing, and blocks of nothing else are drawn grey.
+            Blocks whose estimate is not positive have the darkest colour.
+        block: the side of a block [pixel]; default: `map_block`.
     """
     height, width = information.shape
-    rows, columns = np.arange(0, height, block), np.arange(0, width, block)
-    trace = np.add.reduceat(np.add.reduceat(np.nan_to_num(information), rows, axis=0), columns, axis=1)
+    side = map_block(width) if block is None else block
+    corners = np.arange(0, height, side), np.arange(0, width, side)
+
+    def sums(values: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[Any]]:
+        return np.add.reduceat(np.add.reduceat(values, corners[0], axis=0), corners[1], axis=1)
+
+    trace = sums(np.nan_to_num(information))
     top = float(trace.max(initial=0.0)) or 1.0
-    return draw_picture(
+    low = max(float(trace[trace > 0].min(initial=top)), _SPAN * top) * 0.999
+    trace = np.where(sums(np.isfinite(information).astype(np.float64)) > 0, np.maximum(trace, low), np.nan)
+    rows, columns = trace.shape
+    drawn = draw_picture(
         ax,
-        np.where(trace > 0, trace, np.nan),
+        trace,
         cmap="magma",
-        norm=LogNorm(max(float(trace[trace > 0].min(initial=top)), 1e-4 * top) * 0.999, top, clip=True),
-        extent=(-0.5, len(columns) * block - 0.5, len(rows) * block - 0.5, -0.5),
+        norm=LogNorm(low, top, clip=True),
+        extent=(-0.5, columns * side - 0.5, rows * side - 0.5, -0.5),
     )
+    ax.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))  # the last blocks may reach beyond
+    return drawn
 
 
 def draw_ellipse(
@@ -256,8 +273,14 @@ def draw_budget_curve(
 
 
 def draw_picture(ax: Axes, values: npt.NDArray[np.floating[Any]], **style: Any) -> AxesImage:
-    """An image without ticks, one value or colour a pixel; NaN is drawn grey."""
+    """An image without ticks, one value or colour a pixel; NaN is drawn grey.
+
+    Where the axes have fewer dots than the image has pixels, these are averaged: leaving some out would make
+    specks and broken lines of what is fine.
+    """
     ax.set(xticks=[], yticks=[], facecolor=_UNMEASURED)
     for spine in ax.spines.values():
         spine.set(color=MUTED, linewidth=0.6)
-    return ax.imshow(values, interpolation="nearest", **style)
+    dots = ax.get_window_extent()
+    fits = values.shape[0] <= dots.height and values.shape[1] <= dots.width
+    return ax.imshow(values, interpolation="nearest" if fits else "antialiased", **style)

@@ -7,12 +7,14 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 import synthetic_view
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from scipy.spatial.transform import Rotation
 
 from mitsuba_crb import page, plot
 from mitsuba_crb.export import pictures_of
+from mitsuba_crb.noise import Gaussian
 
 TURN = Rotation.from_euler("xyz", [20, 30, 10], degrees=True).as_matrix()
 
@@ -63,15 +65,44 @@ def test_column_is_white_at_zero_with_symmetric_limits():
     assert red > blue
 
 
-def test_information_map_sums_blocks_and_leaves_out_what_is_not_positive():
+def test_information_map_sums_blocks_and_tells_nothing_found_from_not_measured():
     information = np.random.default_rng(0).random((20, 40))
     information[:16, 32:] = -1.0
+    information[16:, :16] = np.nan
     information[0, 0] = np.nan
-    drawn = np.asarray(plot.draw_information(axes(), information).get_array().filled(np.nan))
-    assert drawn.shape == (2, 3)
-    assert drawn[0, 0] == pytest.approx(np.nansum(information[:16, :16]))
-    assert drawn[1, 2] == pytest.approx(information[16:, 32:].sum())
-    assert np.isnan(drawn[0, 2])
+    drawn = plot.draw_information(axes(), information, block=16)
+    shown = np.asarray(drawn.get_array().filled(np.nan))
+    assert shown.shape == (2, 3)
+    assert shown[0, 0] == pytest.approx(np.nansum(information[:16, :16]))
+    assert shown[1, 2] == pytest.approx(information[16:, 32:].sum())
+    np.testing.assert_array_equal(np.isnan(shown), [[False] * 3, [True, False, False]])
+    colours = drawn.to_rgba(drawn.get_array())
+    assert colours[1, 0, 3] == 0.0  # lets the axes' grey through
+    np.testing.assert_array_equal(colours[0, 2], mpl.colormaps["magma"](0.0))
+
+
+@pytest.mark.parametrize("width", [1, 40, 63, 64, 65, 127, 128, 160, 512, 1000])
+def test_information_map_is_64_cells_wide_or_as_wide_as_the_image(width):
+    ax = axes()
+    drawn = plot.draw_information(ax, np.ones((30, width)))
+    cells = drawn.get_array().shape[1]
+    assert cells == width if width < 64 else 64 <= cells < 128
+    assert ax.get_xlim() == (-0.5, width - 0.5)
+    assert ax.get_ylim() == (29.5, -0.5)
+
+
+def test_pixels_finer_than_the_dots_are_averaged_and_coarser_ones_are_squares():
+    figure = Figure(figsize=(2, 2), dpi=100)
+    FigureCanvasAgg(figure)
+    for size, low, high in ((1000, 0.45, 0.55), (40, 0.0, 1.0)):
+        figure.clear()
+        stripes = np.tile([0.0, 1.0], (size, size // 2))
+        plot.draw_picture(figure.add_axes((0, 0, 1, 1)), stripes, cmap="gray")
+        figure.canvas.draw()
+        inside = np.asarray(figure.canvas.buffer_rgba())[50:150, 50:150, 0] / 255
+        assert low <= inside.min()
+        assert inside.max() <= high
+        assert (inside.min(), inside.max()) == (0.0, 1.0) or size > 200
 
 
 @pytest.mark.parametrize("plane", [(0, 1), (0, 2), (1, 2)])
@@ -150,9 +181,62 @@ def test_page_of_an_image_without_information_shows_none_of_it():
 
 
 @pytest.mark.parametrize("kind", ["random", "only"])
-def test_page_of_a_subset_names_it(kind):
+def test_page_of_a_subset_names_it_and_is_grey_only_where_nothing_stands_for_a_pixel(kind):
     _, figure = page_of(kind=kind, fraction=0.2)
     assert f"{kind}:x of them" in words(figure)
+    assert ("not measured" in words(figure)) == (kind == "only")
+    maps = [drawn.get_array() for drawn in figure.findobj(mpl.image.AxesImage)]
+    unmeasured = [np.mean(np.ma.getmaskarray(values)) for values in maps if values.ndim == 2]
+    assert len(unmeasured) >= 8
+    np.testing.assert_allclose(unmeasured, 0.0 if kind == "random" else 0.8, atol=0.03)
+
+
+def test_maps_of_a_random_subset_add_up_to_the_whole_image():
+    """Each pixel stands for those nearest to it, as many as N/n on average: to their number's spread."""
+    view = synthetic_view.jacobian(kind="random", fraction=0.3, noise=0.01)
+    bound = synthetic_view.bound(view)
+    noise = Gaussian(synthetic_view.SIGMA)
+    figure = page.bound_figure(bound, pictures_of(view, bound.information, noise))
+    every = synthetic_view.jacobian(noise=0.01)
+    whole = pictures_of(every, synthetic_view.bound(every).information, noise)
+    shown, share = (
+        next(ax for ax in figure.axes if ax.get_title("left") == name).images[0].get_array()
+        for name in ("Fisher information", "Weakest direction")
+    )
+    assert shown.sum() == pytest.approx(np.nansum(whole.information), rel=0.1)
+    assert share.sum() == pytest.approx(1.0, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"height": 96, "width": 64}, {"height": 20, "width": 90}, {"unseen": (1, 5), "noise": 0.05}],
+    ids=["landscape", "portrait", "panorama", "unseen"],
+)
+def test_nothing_written_on_the_page_touches_other_words_or_another_panel(options):
+    _, figure = page_of(**options)
+    figure.canvas.draw()
+    written = [(figure, text) for text in figure.texts]
+    for ax in figure.axes:
+        written += [(ax, text) for text in (*ax.texts, ax.title, ax._left_title, ax._right_title)]
+        for axis in (ax.xaxis, ax.yaxis):
+            low, high = sorted(axis.get_view_interval())
+            ticks = [
+                t for t in (*axis.get_major_ticks(), *axis.get_minor_ticks()) if low <= t.get_loc() <= high
+            ]
+            written += [(ax, label) for t in ticks for label in (t.label1, t.label2) if label.get_visible()]
+            written.append((ax, axis.label))
+    boxes = [
+        (ax, text.get_text(), text.get_window_extent()) for ax, text in written if text.get_text().strip()
+    ]
+    assert len(boxes) > 40
+    page_box = figure.bbox
+    for k, (ax, name, box) in enumerate(boxes):
+        assert page_box.x0 <= box.x0 <= box.x1 <= page_box.x1, name
+        assert page_box.y0 <= box.y0 <= box.y1 <= page_box.y1, name
+        for _, other, its in boxes[k + 1 :]:
+            assert not box.overlaps(its), (name, other)
+        for panel in figure.axes:
+            assert panel is ax or not box.overlaps(panel.get_window_extent()), name
 
 
 def test_plotting_touches_no_global_state(tmp_path):
