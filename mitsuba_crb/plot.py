@@ -37,7 +37,7 @@ AXIS_NAMES = {"position": ("x", "y", "z"), "rotation": ("pitch", "yaw", "roll")}
 _UNITS = {"position": "scene unit", "rotation": "deg"}
 _PLANES = ((0, 1), (0, 2), (1, 2))
 
-_SPAN = 1e-4  # of a map's largest value, and the smallest that has a colour of its own
+_SPAN = 1e-4  # of a map's largest value; what is less has the darkest colour
 
 # An unseen axis tilted out of a plane by less than this leaves the plane's picture finite; the same share
 # (0.1² = 0.01) decides which standard deviations are infinite.
