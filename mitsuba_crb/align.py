@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import se3
 from .bound import PoseBound, cramer_rao_bound
 from .errors import AlignmentError, NoiseError, OutOfViewError, PrecisionWarning
-from .information import ImageJacobian, PixelSelection, fisher_information, as_noise_model
+from .information import ImageJacobian, as_noise_model, fisher_information
 from .lending import in_turn
 from .measure import Measurement, MeasurementOptions, measurement
 from .noise import CoupledNoise, IndependentNoise, NoiseModel

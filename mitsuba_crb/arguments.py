@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
+import os
 import re
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .errors import OptionError, PoseError
+from .files import read_array, read_json, read_rows, read_text
 
 
 def parse_size(text: str | None) -> tuple[int, int] | None:
@@ -59,8 +59,9 @@ def parse_pose(text: str | None) -> npt.NDArray[np.float64] | None:
     file = pose_file(text)
     if file is None:
         return se3.pose_from_vector(text)
+    values = _read(file)
     try:
-        return as_pose(_read(file))
+        return as_pose(values)
     except PoseError as error:
         raise PoseError(f"--pose {file}: {error}") from error
 
@@ -75,7 +76,7 @@ def as_pose(values: Any) -> npt.NDArray[np.float64]:
 
     try:
         array = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise PoseError("this is neither a 4x4 matrix nor seven numbers x y z qx qy qz qw") from error
     if array.size == 7:
         return se3.pose_from_vector(array.ravel())
@@ -92,40 +93,25 @@ def parse_displacements(file: Path | None) -> npt.NDArray[np.float64] | None:
     """
     if file is None:
         return None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # NumPy's own remark on an empty file
-            rows = np.loadtxt(file, ndmin=2)
-    except OSError as error:
-        raise OptionError(f"--displacements {file}: {error.strerror or 'no such file'}") from error
-    except ValueError as error:
-        raise OptionError(f"--displacements {file}: expected six numbers a row ({error})") from error
+    rows = read_rows(file, OptionError)
     if rows.shape[1] != 6 or len(rows) == 0:
         raise OptionError(f"--displacements {file}: expected rows of six numbers, got shape {rows.shape}")
     return rows
 
 
 def _read(file: Path) -> Any:
-    try:
-        if file.suffix.lower() == ".npy":
-            return np.load(file, allow_pickle=False)
-        text = file.read_text(encoding="utf-8")
-    except FileNotFoundError as error:
-        raise PoseError("no such file, and not the seven numbers x y z qx qy qz qw") from error
-    except (OSError, ValueError, EOFError) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else "not readable"
-        raise PoseError(f"{reason}; expected a 4x4 matrix as text, .npy or .json") from error
+    if not os.path.lexists(file):
+        raise PoseError(f"--pose {file}: no such file, and not the seven numbers x y z qx qy qz qw")
+    if file.suffix.lower() == ".npy":
+        return read_array(file, PoseError)
     if file.suffix.lower() == ".json":
-        try:
-            document = json.loads(text)
-        except ValueError as error:
-            raise PoseError(f"this is not JSON ({error})") from error
+        document = read_json(file, PoseError)
         if isinstance(document, dict) and "pose" not in document:
-            raise PoseError('the JSON object has no key "pose"')
+            raise PoseError(f'--pose {file}: the JSON object has no key "pose"')
         return document["pose"] if isinstance(document, dict) else document
-    numbers = _numbers(text)
+    numbers = _numbers(read_text(file, PoseError))
     if numbers is None:
-        raise PoseError("expected a 4x4 matrix of numbers separated by blanks")
+        raise PoseError(f"--pose {file}: expected a 4x4 matrix of numbers separated by blanks")
     return numbers
 
 

@@ -8,6 +8,7 @@ an error that nobody foresaw; `check` has its own (0 agree, 1 disagree, 3 inconc
 from __future__ import annotations
 
 import dataclasses
+import os
 import sys
 import time
 import traceback
@@ -149,12 +150,12 @@ def _check_targets(targets: dict[str, Path | None], inputs: list[Path], resumed:
     """Every output can be written, no two are one file, none is an input or, but for one, holds trials."""
     from .export import check_target
 
-    taken: dict[Path, str] = {}
+    taken: dict[str, str] = {}
     for option, path in targets.items():
         if path is None:
             continue
         check_target(path, option, inputs, resumes=option == resumed)
-        other = taken.setdefault(path.resolve(), option)
+        other = taken.setdefault(os.path.realpath(path), option)
         if other != option:
             raise OutputError(f"{option} and {other} both name {path}; give each a file of its own")
 
@@ -406,7 +407,7 @@ def fuse(
         from .team import load_team
 
         team = load_team(config)
-        _check_targets({"--json": json_file}, [config])
+        _check_targets({"--json": json_file}, [config, *(member.scene for member in team.members)])
 
         from .export import fusion_document, write_json
         from .report import print_fusion, progress
@@ -450,7 +451,7 @@ def select(
 
         team = load_team(config)
         limits = Budget(tiles=budget, tiles_per_agent=per_agent, bytes=size)
-        _check_targets({"--json": json_file}, [config])
+        _check_targets({"--json": json_file}, [config, *(member.scene for member in team.members)])
 
         from .export import check_folder, selection_document, write_json
         from .report import print_selection, progress

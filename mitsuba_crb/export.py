@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -192,22 +193,23 @@ def check_target(path: Path, option: str, inputs: Sequence[Path] = (), *, resume
         inputs: files that this run reads, and that must not be overwritten.
         resumes: whether this run keeps the trials that the file holds.
     """
-    folder = path.parent
-    if not folder.is_dir():
+    target = Path(os.path.realpath(path)) if os.path.islink(path) else path
+    folder = target.parent
+    if not os.path.isdir(folder):
         raise OutputError(f"{option} {path}: the folder {folder} does not exist; create it first")
-    if path.is_dir():
+    if os.path.isdir(target):
         raise OutputError(f"{option} {path}: this is a folder; name a file in it")
-    if path.exists() and not path.is_file():
+    if os.path.lexists(target) and not os.path.isfile(target):
         raise OutputError(f"{option} {path}: this is not a regular file; name another")
     for source in inputs:
-        if path.exists() and source.exists() and path.samefile(source):
+        if os.path.exists(target) and os.path.exists(source) and os.path.samefile(target, source):
             raise OutputError(
                 f"{option} {path}: this would overwrite an input of this run; name another file"
             )
     if not resumes and path.exists() and _holds_trials(path):
         raise OutputError(f"{option} {path}: this holds trials that would be lost; name another file")
     # asking by writing: permission bits say nothing about root, read-only mounts and quotas
-    probe = beside(path)
+    probe = beside(target)
     try:
         probe.touch(exist_ok=False)
         probe.unlink()
@@ -226,9 +228,9 @@ def _holds_trials(path: Path) -> bool:
 
 def check_folder(path: Path, option: str) -> None:
     """Make the folder `path` if it is missing; raise `OutputError` unless files can be written in it."""
-    if path.exists() and not path.is_dir():
+    if os.path.lexists(path) and not os.path.isdir(path):
         raise OutputError(f"{option} {path}: this is a file; name a folder")
-    if not path.exists():
+    if not os.path.lexists(path):
         try:
             path.mkdir()
         except OSError as error:

@@ -13,8 +13,6 @@ twist, which in the world frame is not the world twist (`se3`).
 
 from __future__ import annotations
 
-import json
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +23,7 @@ from numpy.typing import ArrayLike
 
 from . import se3
 from .errors import PriorError
+from .files import read_json, read_toml
 from .se3 import Array, Frame
 
 _KEYS = ("information", "covariance", "position_std", "rotation_std_deg")
@@ -66,13 +65,8 @@ def load_prior(path: Path) -> PosePrior:
     Raises:
         PriorError: the file cannot be read, or says something else than the module's docstring allows.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-        document = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
-    except FileNotFoundError as error:
-        raise PriorError(f"no prior file at {path}") from error
-    except (OSError, ValueError) as error:
-        raise PriorError(f"{path} cannot be read as TOML or JSON ({error})") from error
+    read = read_json if path.suffix.lower() == ".json" else read_toml
+    document = read(path, PriorError)
     try:
         return prior_from_dict(document)
     except PriorError as error:
@@ -99,7 +93,9 @@ def prior_from_dict(document: Any) -> PosePrior:
         )
     if not matrices:
         deviations = [*_three(document, "position_std"), *np.radians(_three(document, "rotation_std_deg"))]
-        return PosePrior(np.diag(np.array(deviations) ** -2.0), document["frame"], "axes")
+        with np.errstate(over="ignore"):
+            information = np.diag(np.array(deviations) ** -2.0)
+        return PosePrior(information, document["frame"], "axes")
     matrix: Array = _information(document[matrices[0]], matrices[0])
     if matrices[0] == "covariance":
         scale = np.sqrt(np.diagonal(matrix))
@@ -113,7 +109,7 @@ def _three(document: Mapping[str, Any], key: str) -> Array:
     """Standard deviations along three axes, infinite where unknown."""
     try:
         values = np.broadcast_to(np.array(document.get(key, np.inf), dtype=np.float64), (3,))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         values = np.full(3, np.nan)
     if not (values > 0.0).all():
         raise PriorError(f"{key} must be a positive number or three of them, not {document[key]!r}")
@@ -123,7 +119,7 @@ def _three(document: Mapping[str, Any], key: str) -> Array:
 def _information(value: Any, what: str) -> Array:
     try:
         matrix = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise PriorError(f"the {what} of a prior must be a 6 x 6 matrix of numbers ({error})") from None
     if matrix.shape != (6, 6) or not np.isfinite(matrix).all():
         raise PriorError(f"the {what} of a prior must be a finite 6 x 6 matrix, not of shape {matrix.shape}")

@@ -96,9 +96,9 @@ def load_scene(path: str | os.PathLike[str], /, **defines: str) -> mi.Scene:
     import mitsuba as mi
 
     file = Path(path)
-    if file.is_dir():
+    if os.path.isdir(file):
         raise SceneError(f"{file} is a folder; name the scene's .xml file")
-    if not file.is_file():
+    if not os.path.isfile(file):
         raise SceneError(f"no scene file at {file}")
     try:
         with _loading():
@@ -112,7 +112,9 @@ def load_scene(path: str | os.PathLike[str], /, **defines: str) -> mi.Scene:
 
 def _parser_message(error: Exception, file: Path) -> str:
     """Mitsuba's parser message in one line, with what to do about it."""
-    text = re.sub(r"\[\w+\.cpp:\d+\]\s*", "", str(error))
+    # Mitsuba quotes what it cannot read, which need not be text.
+    message = error.object.decode(errors="replace") if isinstance(error, UnicodeDecodeError) else str(error)
+    text = re.sub(r"\[\w+\.cpp:\d+\]\s*", "", message)
     text = re.sub(r"\s*\n\s*-?\s*", " ", text).strip()
     unused = re.search(r"unused parameters?: ?(.*)", text)
     if unused:

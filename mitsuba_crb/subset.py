@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from .errors import PixelsError
+from .files import read_grey
 from .information import BLOCK, PixelSelection, in_squares
 
 
@@ -100,17 +101,11 @@ def read_mask(pixels: Any, shape: tuple[int, int]) -> tuple[NDArray[np.bool_], s
     if isinstance(pixels, str | os.PathLike):
         path = Path(pixels)
         description = path.name
-        if not path.is_file():
+        if not os.path.lexists(path):
             raise PixelsError(
                 f"pixels {str(pixels)!r} is neither random:f, gradient:f nor the path of a mask image"
             )
-        from PIL import Image, UnidentifiedImageError
-
-        try:
-            with Image.open(path) as picture:
-                pixels = np.asarray(picture.convert("L")) > 127
-        except UnidentifiedImageError as error:
-            raise PixelsError(f"{path} is no image; a mask is a PNG, white where measured") from error
+        pixels = read_grey(path, PixelsError) > 127
     mask = np.asarray(pixels)
     if mask.dtype != bool:
         raise PixelsError(f"a mask is a boolean array; got {mask.dtype}")

@@ -29,7 +29,7 @@ anything is rendered; a key that nobody knows is an error that names the near on
 
 from __future__ import annotations
 
-import tomllib
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -41,6 +41,7 @@ import numpy as np
 from . import noise, se3
 from .arguments import as_pose
 from .errors import ConfigError, NoiseError, PoseError
+from .files import read_toml
 from .noise import NoiseModel
 from .se3 import Array
 
@@ -138,23 +139,18 @@ def load_team(path: Path) -> Team:
     """Read a team's file.
 
     Raises:
-        ConfigError: no such file, not TOML, a key that nobody knows, a value of the wrong type, no agents, or
-            two of one name.
+        ConfigError: no such file or scene, not TOML, a key that nobody knows, a value of the wrong type, no
+            agents, or two of one name.
         PoseError: a pose or transform is no rigid motion.
         NoiseError: an impossible noise.
     """
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is no UTF-8 text"
-        raise ConfigError(f"cannot read {path}: {reason}") from error
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path} is no TOML: {error}") from error
+    document = read_toml(path, ConfigError)
     _check(document, _SECTIONS, str(path))
     sections = {name: document.get(name, {}) for name in ("body", "measure", "tiles")}
     for name, schema in (("body", _BODY), ("measure", _MEASURE), ("tiles", _TILES)):
         _check(sections[name], schema, f"{path}: [{name}]")
     body, measure, tiles = sections.values()
+    _check_signs(measure, ("seed",), f"{path}: [measure]")
     members = tuple(_member(table, k, path) for k, table in enumerate(document.get("agents", []), 1))
     if not members:
         raise ConfigError(f"{path} lists no agents: add [[agents]] with a name and a scene")
@@ -185,12 +181,13 @@ def _member(table: Any, number: int, path: Path) -> Member:
     missing = [key for key in ("name", "scene") if key not in table]
     if missing:
         raise ConfigError(f"{where} has no {missing[0]}")
-    for key in ("budget", "bytes"):
-        if table.get(key, 0) < 0:
-            raise ConfigError(f"{where}: {key} is negative: {table[key]}")
+    _check_signs(table, ("budget", "bytes"), where)
+    scene = path.parent / table["scene"]
+    if not os.path.isfile(scene):
+        raise ConfigError(f"{where}: no scene file at {scene}")
     return Member(
         name=table["name"],
-        scene=path.parent / table["scene"],
+        scene=scene,
         sensor=table.get("sensor", 0),
         pose=_pose(table, "pose", where),
         body_from_agent=_pose(table, "body_from_agent", where),
@@ -219,6 +216,12 @@ def _pose(table: Mapping[str, Any], key: str, where: str) -> Array | None:
         return as_pose(table[key])
     except PoseError as error:
         raise PoseError(f"{where}: {key}: {error}") from None
+
+
+def _check_signs(table: Mapping[str, Any], keys: Sequence[str], where: str) -> None:
+    for key in keys:
+        if table.get(key, 0) < 0:
+            raise ConfigError(f"{where}: {key} is negative: {table[key]}")
 
 
 def _check(table: Mapping[str, Any], schema: Mapping[str, Any], where: str) -> None:

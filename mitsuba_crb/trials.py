@@ -16,10 +16,11 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+import os
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, NamedTuple, Unpack, get_args
 
 import numpy as np
 from scipy import stats
@@ -29,7 +30,7 @@ from .align import Anchor, Status, align
 from .bound import PoseBound, cramer_rao_bound
 from .consistency import Consistency, consistency
 from .errors import OutOfViewError, PrecisionWarning, TrialError
-from .files import atomic
+from .files import atomic, read_json
 from .fingerprint import fingerprint, mask_fingerprint
 from .information import ImageJacobian, fisher_information
 from .lending import in_turn
@@ -196,6 +197,7 @@ def validate(
         raise TrialError(f"at least 7 trials are needed for a covariance of six numbers; got {trials}")
     if perturb_deg < 0.0 or perturb_trans < 0.0:
         raise TrialError("perturb_deg and perturb_trans must not be negative")
+    record = _recorded(resume)
     options = {"spp": DEFAULT_SPP, **options}
     named = dict(defines or {})
     loaded = load_scene(scene, **named) if isinstance(scene, str | Path) else scene
@@ -217,7 +219,7 @@ def validate(
         "integrator": names["integrator"],
         "pose": [[round(value, 9) for value in row] for row in anchor.pose.tolist()],
     }
-    done = _resumed(resume, settings)
+    done = _resumed(record, settings)
     shared = _Setup(
         scene if isinstance(scene, str | Path) else loaded, named, anchor, chosen, settings, options
     )
@@ -228,7 +230,7 @@ def validate(
     for _, results in each(_run, chunks, workers):
         done |= {trial.index: trial for trial in results}
         if resume is not None:
-            done = _resumed(resume, settings) | done  # another run may have written meanwhile
+            done = _resumed(_recorded(resume), settings) | done  # another run may have written meanwhile
             _write(resume, {"schema": SCHEMA, "settings": settings, "results": _plain(done)})
         if on_trial is not None:
             on_trial(sum(index < trials for index in done), trials)
@@ -378,29 +380,49 @@ def _plain(done: Mapping[int, Trial]) -> list[dict[str, Any]]:
     return [dataclasses.asdict(done[index]) for index in sorted(done)]
 
 
-def _resumed(file: Path | None, settings: dict[str, Any]) -> dict[int, Trial]:
-    """The trials of an earlier run, all of them."""
-    if file is None or not file.exists():
-        return {}
-    no_record = TrialError(f"{file} exists and is no record of trials; name another file")
+class _Record(NamedTuple):
+    """An earlier run."""
+
+    file: Path
+    settings: dict[str, Any]
+    trials: list[Trial]
+
+
+def _recorded(file: Path | None) -> _Record | None:
+    """What an earlier run has left; None if there was none."""
+    if file is None or not os.path.lexists(file):
+        return None
     try:
-        document = json.loads(file.read_text(encoding="utf-8"))
-        schema, before, results = document["schema"], dict(document["settings"]), list(document["results"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise no_record from error
-    if schema != SCHEMA:
-        raise TrialError(f"{file} has the schema {schema!r}, not {SCHEMA!r}; name another file")
+        document = read_json(file, ValueError)
+        schema, settings, results = (document[key] for key in ("schema", "settings", "results"))
+        if schema == SCHEMA:
+            return _Record(file, dict(settings), [_read_trial(**result) for result in results])
+    except (ArithmeticError, KeyError, TypeError, ValueError) as error:
+        raise TrialError(f"{file} exists and is no record of trials ({error}); name another file") from error
+    raise TrialError(f"{file} has the schema {schema!r}, not {SCHEMA!r}; name another file")
+
+
+def _read_trial(
+    index: Any, status: Any, error: Any, residual: Any, iterations: Any, excess: Any, invalid: Any
+) -> Trial:
+    if status not in get_args(Status) or len(error) != 6:
+        raise ValueError(f"trial {index} has the status {status!r} and the error {error}")
+    twist = tuple(float(value) for value in error)
+    return Trial(int(index), status, twist, float(residual), int(iterations), float(excess), int(invalid))
+
+
+def _resumed(record: _Record | None, settings: dict[str, Any]) -> dict[int, Trial]:
+    """The trials of an earlier run with the same settings, all of them."""
+    if record is None:
+        return {}
+    file, before, found = record
     changed = _changes(before, json.loads(json.dumps(settings)))
     if changed:
         raise TrialError(
             f"{file} holds trials with {', '.join(changed)}; name another file, or use the same settings to "
             "resume"
         )
-    try:
-        trials = [Trial(**{**result, "error": tuple(result["error"])}) for result in results]
-    except (KeyError, TypeError) as error:
-        raise no_record from error
-    return {trial.index: trial for trial in trials}
+    return {trial.index: trial for trial in found}
 
 
 def _changes(before: dict[str, Any], now: dict[str, Any], of: str = "") -> list[str]:

@@ -1,18 +1,25 @@
-"""What cannot be measured is refused by the command in one line; odd geometry that can be is finite."""
+"""What cannot be read, written or measured is refused in one line; odd geometry that can be is finite."""
 
 from __future__ import annotations
 
+import dataclasses
 import gc
+import io
+import json
+import os
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 import pytest
+from PIL import Image
+from scipy import sparse
 from small_scenes import T, camera, scene, texture, wall
 
-from mitsuba_crb import cli, pose_bound, pose_jacobian
+from mitsuba_crb import cli, measure, pose_bound, pose_jacobian, trials
 from mitsuba_crb.errors import BlindSpotWarning, PoseError, SceneError
 from mitsuba_crb.noise import Gaussian
 from mitsuba_crb.scene import open_view
@@ -54,6 +61,10 @@ def integrator(name: str, inside: str = "") -> str:
             ['"ply"', "correct"],
         ),
         (CAMERA + '<shape type="ply"><string name="filename" value="nan.ply"/></shape>', ["nan.ply"]),
+        (
+            CAMERA + '<shape type="ply"><string name="filename" value="cut.ply"/></shape>',
+            ["cut.ply", "token"],
+        ),
     ],
     ids=lambda value: "" if isinstance(value, str) else value[0],
 )
@@ -66,6 +77,7 @@ def test_the_command_names_what_it_refuses_and_exits_with_2(
     )
     (tmp_path / "far.ply").write_text(header.format(1, 1) + "3 0 1 7\n")
     (tmp_path / "nan.ply").write_text(header.format(1, "nan") + "3 0 1 2\n")
+    (tmp_path / "cut.ply").write_bytes(b"ply\n\xff\x80")
     (tmp_path / "empty.ply").write_text(header.format(0, 1))
     file = tmp_path / "scene.xml"
     file.write_text(f'<scene version="3.0.0">{inside}<emitter type="constant"/></scene>')
@@ -87,6 +99,206 @@ def test_a_pose_that_is_not_finite_and_a_mesh_without_faces_are_named() -> None:
         open_view(scene(hollow=mi.Mesh("hollow", 0, 0))),
     ):
         pass
+
+
+def written(save: Callable[..., None], *values: Any, **options: Any) -> bytes:
+    """What a function writes into a file."""
+    file = io.BytesIO()
+    save(file, *values, **options)
+    return file.getvalue()
+
+
+GOOD: dict[str, bytes] = {
+    "scene.xml": f'<scene version="3.0.0">{CAMERA}<emitter type="constant"/></scene>'.encode(),
+    "pose.txt": b"1 0 0 0  0 1 0 0  0 0 1 0  0 0 0 1",
+    "pose.json": b"[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]",
+    "pose.npy": written(np.save, np.eye(4)),
+    "twists.txt": b"0.1 0 0 0 0 0",
+    "noise.toml": b'[noise]\nmodel = "gaussian"\nsigma = 0.1\n',
+    "map.npy": written(np.save, np.full((8, 8), 0.01)),
+    "precision.npz": written(sparse.save_npz, 2.0 * sparse.eye_array(64).tocsc()),
+    "prior.toml": b'position_std = 0.5\nframe = "camera"\n',
+    "prior.json": b'{"frame": "camera", "position_std": 0.5}',
+    "mask.png": written(Image.fromarray(np.indices((8, 8))[0].astype(np.uint8) * 36).save, format="png"),
+    "team.toml": b'[[agents]]\nname = "a"\nscene = "scene.xml"\nnoise = "noise.toml"\n[tiles]\nsize = 8\n',
+    "trials.json": json.dumps(
+        {
+            "schema": trials.SCHEMA,
+            "settings": {},
+            "results": [dataclasses.asdict(trials.Trial(0, "converged", (0.0,) * 6, 1.0, 3, 0.0))],
+        }
+    ).encode(),
+    "map.toml": b'[noise]\nmodel = "per_pixel"\nvariance = "map.npy"\n',
+    "precision.toml": b'[noise]\nmodel = "sparse_precision"\nprecision = "precision.npz"\nshape = [8, 8]\n',
+    "map_team.toml": b'[[agents]]\nname = "a"\nscene = "scene.xml"\nnoise = "map.toml"\n',
+}
+"""Files by their names, all of them good."""
+
+READERS = [
+    ("scene.xml", "bound scene.xml"),
+    ("scene.xml", "check scene.xml"),
+    ("scene.xml", "validate scene.xml"),
+    ("scene.xml", "fuse team.toml --workers 1"),
+    ("pose.txt", "bound scene.xml --pose pose.txt"),
+    ("pose.json", "check scene.xml --pose pose.json"),
+    ("pose.npy", "validate scene.xml --pose pose.npy"),
+    ("twists.txt", "bound scene.xml --hcr --displacements twists.txt"),
+    ("noise.toml", "bound scene.xml --noise noise.toml"),
+    ("noise.toml", "fuse team.toml --workers 1"),
+    ("map.npy", "bound scene.xml --noise map.toml"),
+    ("map.npy", "select --workers 1 --budget 1 map_team.toml"),
+    ("precision.npz", "bound scene.xml --noise precision.toml"),
+    ("prior.toml", "bound scene.xml --prior prior.toml"),
+    ("prior.json", "bound scene.xml --prior prior.json"),
+    ("mask.png", "bound scene.xml --pixels mask.png"),
+    ("team.toml", "fuse team.toml --workers 1"),
+    ("team.toml", "select team.toml --budget 1 --workers 1"),
+    ("trials.json", "validate scene.xml --json trials.json"),
+]
+"""A file, and a command that reads it."""
+
+TEXTS = (".txt", ".json", ".toml")
+DAMAGES = (
+    "missing",
+    "empty",
+    "cut off",
+    "another kind",
+    "random bytes",
+    "not UTF-8",
+    "deeply nested",
+    "a folder",
+    "a link to itself",
+    "unreadable",
+    "forbidden",
+)
+ANOTHER = {"map.npy": "precision.npz", "precision.npz": "map.npy", "mask.png": "noise.toml"}
+
+
+def damage(file: Path, how: str) -> None:
+    """Put something in the place of a good file."""
+    good = file.read_bytes()
+    contents = {
+        "empty": b"",
+        "cut off": good[: len(good) * 2 // 3],
+        "another kind": GOOD[ANOTHER.get(file.name, "mask.png")],
+        "random bytes": np.random.default_rng(0).bytes(300),
+        "not UTF-8": good[: len(good) // 2] + b"\xe9" + good[len(good) // 2 :],
+        "deeply nested": b"a = " * (file.suffix == ".toml") + b"[" * 100_000,
+    }
+    file.unlink()
+    if how in contents:
+        file.write_bytes(contents[how])
+    elif how == "a folder":
+        file.mkdir()
+    elif how == "a link to itself":
+        file.symlink_to(file)
+    elif how == "unreadable":
+        file.symlink_to("/proc/self/mem")  # whose first byte nobody can read, not even root
+    elif how == "forbidden":
+        file.write_bytes(good)
+        file.chmod(0)
+        if os.access(file, os.R_OK):
+            pytest.skip("root reads everything")
+
+
+@pytest.fixture
+def readable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of good files, in which the commands run until they would render."""
+
+    def render(*_: Any, **__: Any) -> Any:
+        raise AssertionError("this would be rendered")
+
+    monkeypatch.setattr(measure.Measurement, "tiles", render)
+    monkeypatch.setattr(trials, "_expected", render)
+    monkeypatch.chdir(tmp_path)
+    for name, contents in GOOD.items():
+        Path(name).write_bytes(contents)
+    return tmp_path
+
+
+def refusal(command: str, capsys: pytest.CaptureFixture[str]) -> str:
+    """The one line with which a command ends before it renders, with exit code 2."""
+    code = cli.run(command.split())
+    out, err = capsys.readouterr()
+    assert code == 2, err
+    assert out == ""
+    assert err.startswith("mitsuba-crb: ")
+    assert err.count("\n") == 1
+    assert len(err) < 500
+    return err
+
+
+@pytest.mark.parametrize("command", dict.fromkeys(command for _, command in READERS))
+def test_commands_with_good_files_would_render(
+    command: str, readable: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The negative control of what follows."""
+    assert cli.run(command.split()) == cli.INTERNAL_ERROR
+    assert "this would be rendered" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "command", "how"),
+    [
+        (name, command, how)
+        for name, command in READERS
+        for how in DAMAGES
+        if (how not in ("not UTF-8", "deeply nested") or name.endswith(TEXTS))
+        and (name, how) != ("trials.json", "missing")
+    ],
+)
+def test_a_damaged_file_is_named_in_one_line_before_anything_is_rendered(
+    name: str, command: str, how: str, readable: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    damage(readable / name, how)
+    assert name in refusal(command, capsys)
+    assert all((readable / other).read_bytes() == GOOD[other] for other in GOOD if other != name)
+
+
+PICTURES = "select team.toml --workers 1 --budget 1 --plot {}"  # into a folder
+OUTPUTS = [
+    "bound scene.xml --json {}",
+    "bound scene.xml --exr {}",
+    "bound scene.xml --plot {}",
+    "validate scene.xml --json {}",
+    "validate scene.xml --plot {}",
+    "fuse team.toml --workers 1 --json {}",
+    "select team.toml --workers 1 --budget 1 --json {}",
+    PICTURES,
+]
+PLACES = {
+    "folder": "folder",
+    "no/folder/out": "no/folder",
+    "scene.xml": "scene.xml",
+    "to_itself": "to_itself",
+    "to_nowhere": "to_nowhere",
+    "/dev/null": "/dev/null",
+    "/proc/self/out": "/proc/self",
+    "x" * 300: "x" * 300,
+}
+"""Where nothing can be written, and what the refusal must name."""
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs a folder in which nobody can write")
+@pytest.mark.parametrize(
+    ("command", "place"),
+    [
+        pytest.param(command, place, id=f"{command} {place[:20]}")
+        for command in OUTPUTS
+        for place in PLACES
+        if (command, place) != (PICTURES, "folder")
+    ],
+)
+def test_a_place_that_cannot_be_written_is_named_in_one_line_before_anything_is_rendered(
+    command: str, place: str, readable: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (readable / "folder").mkdir()
+    (readable / "to_itself").symlink_to(readable / "to_itself")
+    (readable / "to_nowhere").symlink_to(readable / "no" / "where")
+    before = sorted(readable.rglob("*"))
+    assert PLACES[place] in refusal(command.format(place), capsys)
+    assert sorted(readable.rglob("*")) == before
+    assert (readable / "scene.xml").read_bytes() == GOOD["scene.xml"]
 
 
 BLACK = {"type": "point", "position": [0, 0, 0]}

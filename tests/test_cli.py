@@ -177,7 +177,7 @@ def test_options_reach_the_library(rendered, capsys, tmp_path):
 
 
 def test_what_cannot_be_a_prior_is_refused(capsys, tmp_path):
-    assert "no prior file" in refused(capsys, "bound", "room.xml", "--prior", str(tmp_path / "none.toml"))
+    assert "cannot read" in refused(capsys, "bound", "room.xml", "--prior", str(tmp_path / "none.toml"))
     (tmp_path / "imu.toml").write_text('frame = "body"\nposition_std = 1\n')
     message = refused(capsys, "bound", "room.xml", "--prior", str(tmp_path / "imu.toml"))
     assert "'camera' or 'world', not 'body'" in message
@@ -224,7 +224,7 @@ def test_defaults_are_the_librarys(command, other):
         (["--pose", "0 0 nan 0 0 0 1"], "NaN"),
         (["--sigma", "0"], "positive"),
         (["--sigma", "1", "--noise", "camera.toml"], "give one of them"),
-        (["--noise", "nowhere.toml"], "cannot read the noise file"),
+        (["--noise", "nowhere.toml"], "cannot read nowhere.toml"),
         (["--sigma", "-1"], "positive"),
         (["--sigma", "nan"], "positive"),
         (["--sigma", "inf"], "positive"),

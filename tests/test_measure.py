@@ -18,7 +18,7 @@ from mitsuba_crb.errors import BlindSpotWarning, NoiseError, OptionError, Pixels
 from mitsuba_crb.information import BLOCK, PixelSelection
 from mitsuba_crb.jacobian.pixels import render_pixels
 from mitsuba_crb.lint import precision_findings
-from mitsuba_crb.measure import versions, measurement
+from mitsuba_crb.measure import measurement, versions
 from mitsuba_crb.noise import (
     Gaussian,
     Heteroscedastic,

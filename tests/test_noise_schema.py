@@ -73,6 +73,21 @@ def test_arrays_come_from_files_beside_the_table(tmp_path):
         model.check(4, 5, 3)
 
 
+def test_arrays_that_are_none_of_real_numbers_are_named_with_their_files(tmp_path):
+    """Indices beyond a sparse matrix would crash what uses them."""
+    beyond = 2.0 * sparse.eye_array(20).tocsc()
+    beyond.indices[3] = 1_000_000
+    sparse.save_npz(tmp_path / "beyond.npz", beyond)
+    np.save(tmp_path / "complex.npy", np.full((4, 5), 1j))
+    np.save(tmp_path / "words.npy", np.array([["1"]]))
+    for name in ("complex.npy", "words.npy"):
+        with pytest.raises(NoiseError, match=f"{name} is no .npy file of real numbers"):
+            noise.from_dict({"model": "per_pixel", "variance": name}, folder=tmp_path)
+    table = {"model": "sparse_precision", "precision": "beyond.npz", "shape": [4, 5]}
+    with pytest.raises(NoiseError, match=r"beyond.npz is no .npz file of a sparse matrix: indices"):
+        noise.from_dict(table, folder=tmp_path)
+
+
 @pytest.mark.parametrize(
     ("table", "message"),
     [
@@ -83,6 +98,10 @@ def test_arrays_come_from_files_beside_the_table(tmp_path):
         ({}, "needs model"),
         ({"model": "luminance", "noise": 0.1}, "noise must be a table"),
         ({"model": "per_pixel", "variance": "no.npy"}, "cannot read no.npy"),
+        ({"model": ["gaussian"]}, "unknown model ['gaussian']"),
+        ({"model": "gaussian", "sigma": 10**400}, "sigma must be a positive number"),
+        ({"model": "gaussian", "sigma": [0.1]}, "sigma must be a positive number"),
+        ({"model": "heteroscedastic", "coefficients": 10**400}, "expects an array of numbers"),
         ({"model": "stationary"}, "either autocovariance or power_spectrum"),
         (
             {
@@ -102,6 +121,15 @@ def test_arrays_come_from_files_beside_the_table(tmp_path):
             },
             "has no 'level' (did you mean 'levels'?)",
         ),
+        (
+            {
+                "model": "sensor",
+                "noise": {"model": "laplace", "scale": 1},
+                "noise_at": "after",
+                "quantisation": {"levels": [4]},
+            },
+            "quantisation has a value of the wrong kind",
+        ),
     ],
 )
 def test_mistakes_are_named_with_what_is_near(table, message):
@@ -112,7 +140,7 @@ def test_mistakes_are_named_with_what_is_near(table, message):
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [("[noise", "no valid TOML"), ("[noize]", "(did you mean 'noise'?)"), ("", "no table [noise]")],
+    [("[noise", "is no TOML"), ("[noize]", "(did you mean 'noise'?)"), ("", "no table [noise]")],
 )
 def test_files_that_are_none_are_named(tmp_path, text, message):
     (tmp_path / "noise.toml").write_text(text)

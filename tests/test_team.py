@@ -363,9 +363,10 @@ BAD = [
     ("agents = [1]\n", None, ConfigError, "agent 1 is 1; write every agent as a table"),
     ("body = 1\n", "", ConfigError, "body must be a table, not 1"),
     ("", "budget = -1", ConfigError, "agent 'racks': budget is negative: -1"),
+    ("[measure]\nseed = -1\n", "", ConfigError, "seed is negative: -1"),
     ("", "noise = -0.1", NoiseError, "agent 'racks'.*positive"),
     ("", "noise = [1]", ConfigError, r"noise must be a number or a text or a table, not \[1\]"),
-    ("", "noise = 'none.toml'", NoiseError, "agent 'racks': cannot read the noise file .*none.toml"),
+    ("", "noise = 'none.toml'", NoiseError, "agent 'racks': cannot read .*none.toml"),
     ("", "noise = { model = 'gausian', sigma = 1 }", NoiseError, "agent 'racks': .*gaussian"),
     ("", "pose = [1, 2, 3]", PoseError, "agent 'racks': pose: .*seven numbers"),
     ("", 'pose = ["a"]', PoseError, "agent 'racks': pose: "),
@@ -385,6 +386,12 @@ BAD = [
     ("", None, ConfigError, "lists no agents"),
     ("agents = []\n", None, ConfigError, "lists no agents"),
     ("[[agents]]\nname = 'x'\n", None, ConfigError, "agent 'x' has no scene"),
+    (
+        "[[agents]]\nname = 'x'\nscene = 'x.xml'\n",
+        None,
+        ConfigError,
+        "agent 'x': no scene file at .*x.xml",
+    ),
     ("[[agents]]\nscene = 'x.xml'\n", None, ConfigError, "agent 1 has no name"),
     ("not toml", "", ConfigError, "is no TOML"),
 ]
@@ -407,7 +414,7 @@ class TestBadInput:
         assert "No such file" in refused(capsys, "fuse", str(tmp_path / "none.toml"))
         assert "cannot read" in refused(capsys, "select", str(tmp_path))
         path.write_bytes(b"\xff\xfe\x00")
-        assert "UTF-8" in refused(capsys, "fuse", str(path))
+        assert "utf-8" in refused(capsys, "fuse", str(path))
 
     def test_budgets_and_outputs_are_checked_before_rendering(
         self, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch

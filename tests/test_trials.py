@@ -17,7 +17,7 @@ from small_scenes import camera, textured_wall, torn_wall
 from mitsuba_crb import measure, trials
 from mitsuba_crb.align import align
 from mitsuba_crb.consistency import Consistency, consistency
-from mitsuba_crb.errors import BlindSpotWarning, OptionError, OutOfViewError, TrialError, RadianceError
+from mitsuba_crb.errors import BlindSpotWarning, OptionError, OutOfViewError, RadianceError, TrialError
 from mitsuba_crb.trials import SCHEMA, validate
 
 OPTIONS: dict[str, Any] = {"size": (16, 12), "spp": 32, "sigma": 0.005, "perturb_deg": 0.2, "seed": 5}
@@ -300,18 +300,32 @@ def test_impossible_trials_are_refused(change: Any, error: type[Exception], mess
         validate(textured_wall(), **(OPTIONS | change))
 
 
+RECORD = f'{{"schema": "{SCHEMA}", "settings": {{}}, "results": %s}}'
+RESULT = (
+    '[{"index": %s, "status": "%s", "error": %s, "residual": 1, "iterations": 1, "excess": 0, "invalid": 0}]'
+)
+
+
 @pytest.mark.parametrize(
     "text",
     [
         "not json",
-        "[]",
         '{"schema": "other/1", "settings": {}, "results": []}',
-        '{"schema": "mitsuba-crb/validate/1", "settings": [], "results": []}',
-        '{"schema": "mitsuba-crb/validate/1", "settings": {}, "results": [{"index": 0}]}',
-        '{"schema": "mitsuba-crb/validate/1", "settings": {}, "results": 3}',
+        f'{{"schema": "{SCHEMA}", "settings": 3, "results": []}}',
+        "[]",
+        RECORD % "3",
+        RECORD % "[3]",
+        RECORD % '[{"index": 0}]',
+        RECORD % RESULT % ("Infinity", "converged", [0] * 6),
+        RECORD % RESULT % (0, "confused", [0] * 6),
+        RECORD % RESULT % (0, "converged", [0] * 5),
+        RECORD % RESULT % (0, "converged", [[]] * 6),
     ],
 )
-def test_a_file_that_is_no_record_of_trials_is_left_alone(tmp_path: Path, text: str) -> None:
+def test_a_file_that_is_no_record_of_trials_is_left_alone_and_nothing_rendered(
+    tmp_path: Path, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trials, "_expected", None)
     file = tmp_path / "something.json"
     file.write_text(text)
     with pytest.raises(TrialError, match="name another file"):

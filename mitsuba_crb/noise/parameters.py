@@ -17,7 +17,7 @@ def positive(value: object, name: str, unit: str = "radiance") -> float:
     """
     try:
         number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise NoiseError(f"{name} must be a positive number [{unit}], not {value!r}") from None
     # Outside of this range the inverse variance overflows or vanishes.
     if not 1e-150 < number < 1e150:
@@ -33,7 +33,7 @@ def array(values: ArrayLike, name: str) -> Array:
     """
     try:
         copy = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise NoiseError(f"{name} expects an array of numbers: {error}") from None
     copy.flags.writeable = False
     return copy

@@ -34,16 +34,13 @@ Arrays (*) are nested lists, or the name of a `.npy` file beside the TOML file. 
 from __future__ import annotations
 
 import inspect
-import tomllib
 from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-from scipy import sparse
-
 from ..errors import NoiseError
+from ..files import read_array, read_sparse, read_toml
 from .colour import ColourBlocks, Luminance
 from .curves import SRGB, Curve, Linear, Power, Tabulated
 from .gaussian import Gaussian, PerChannel, PerPixel
@@ -107,16 +104,14 @@ def load(path: str | Path) -> NoiseModel:
         NoiseError: the file cannot be read, or a name or value in it cannot be used.
     """
     file = Path(path)
-    try:
-        document = tomllib.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise NoiseError(f"cannot read the noise file {file}: {error.strerror or error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise NoiseError(f"{file} is no valid TOML: {error}") from None
+    document = read_toml(file, NoiseError)
     _check_keys(document, ["noise"], f"{file}")
     if not isinstance(document.get("noise"), dict):
         raise NoiseError(f'{file} has no table [noise], with model = "gaussian" or another')
-    return from_dict(document["noise"], folder=file.parent)
+    try:
+        return from_dict(document["noise"], folder=file.parent)
+    except NoiseError as error:
+        raise NoiseError(f"{file}: {error}") from error
 
 
 def from_dict(table: Mapping[str, Any], *, folder: str | Path = ".") -> NoiseModel:
@@ -140,9 +135,9 @@ def from_dict(table: Mapping[str, Any], *, folder: str | Path = ".") -> NoiseMod
         elif key == "quantisation":
             parameters[key] = _made(Quantisation, dict(_table(value, key)), "quantisation")
         elif key in _ARRAYS and isinstance(value, str):
-            parameters[key] = _read(place / value, np.load)
+            parameters[key] = read_array(place / value, NoiseError)
         elif key == "precision" and isinstance(value, str):
-            parameters[key] = _read(place / value, sparse.load_npz)
+            parameters[key] = read_sparse(place / value, NoiseError)
     return _made(make, parameters, f"the noise model {name!r}")
 
 
@@ -156,7 +151,7 @@ def _chosen(
         got = f", not {near[0]}" if near else ""
         raise NoiseError(f"{what} needs {key}{got} = one of {', '.join(known)}")
     name = parameters.pop(key)
-    if name not in known:
+    if not isinstance(name, str) or name not in known:
         raise NoiseError(
             f"unknown {key} {name!r}{_near(str(name), list(known))}; there are {', '.join(known)}"
         )
@@ -170,7 +165,10 @@ def _made(make: Callable[..., T], parameters: dict[str, Any], what: str) -> T:
     missing = [n for n, p in expected.items() if p.default is inspect.Parameter.empty and n not in parameters]
     if missing:
         raise NoiseError(f"{what} lacks {', '.join(missing)}")
-    return make(**parameters)
+    try:
+        return make(**parameters)
+    except (ArithmeticError, TypeError, ValueError) as error:
+        raise NoiseError(f"{what} has a value of the wrong kind: {error}") from error
 
 
 def _table(value: Any, key: str) -> Mapping[str, Any]:
@@ -189,10 +187,3 @@ def _check_keys(table: Mapping[str, Any], known: list[str], what: str) -> None:
 def _near(name: str, known: list[str]) -> str:
     close = get_close_matches(name, known, n=1)
     return f" (did you mean {close[0]!r}?)" if close else ""
-
-
-def _read(path: Path, read: Callable[[Path], Any]) -> Any:
-    try:
-        return read(path)
-    except (OSError, ValueError) as error:
-        raise NoiseError(f"cannot read {path}: {error}") from None
