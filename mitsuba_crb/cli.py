@@ -32,6 +32,7 @@ INTERNAL_ERROR = 70
 
 app = typer.Typer(
     add_completion=False,
+    rich_markup_mode=None,  # in every other mode [noise] is markup and vanishes
     pretty_exceptions_enable=False,
     help="How precisely could any algorithm estimate this camera's pose from this image of this scene?",
 )
@@ -96,8 +97,9 @@ def run(arguments: list[str] | None = None) -> int:
 
 
 def complain(message: str) -> None:
-    """Say one line on standard error."""
-    typer.echo(f"mitsuba-crb: {' '.join(message.split())}", err=True)
+    """Say one line on standard error, whatever a file has put into the message."""
+    line = "".join(c if c.isprintable() else "\ufffd" for c in " ".join(message.split()))
+    typer.echo(f"mitsuba-crb: {line}", err=True)
 
 
 @contextmanager
@@ -178,7 +180,7 @@ def _collected() -> Iterator[list[str]]:
 def _console() -> Console:
     from rich.console import Console
 
-    return Console()
+    return Console(markup=False, emoji=False)  # what is printed has names of users in it
 
 
 @app.command()
@@ -402,7 +404,7 @@ def fuse(
     json_file: JsonFile = None,
     debug: Debug = False,
 ) -> None:
-    """What several agents know together about their common body's pose."""
+    """What several agents know together of their common body's pose."""
     with foreseen(debug):
         from .team import load_team
 
@@ -509,7 +511,7 @@ def validate(
     ] = None,
     debug: Debug = False,
 ) -> int:
-    """Put the bound to the test: noisy images, perturbed starts, alignments.
+    """Put the bound to the test: perturb poses, align noisy images.
 
     Exit code 0 if the errors are as the bound says, 1 if they are not.
     """

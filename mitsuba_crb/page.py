@@ -180,9 +180,9 @@ def _title(figure: Figure, bound: PoseBound, pictures: Pictures, total: float) -
     parts += [f"rank {bound.rank} of 6", f"length scale {bound.length_scale:.3g} scene units"]
     name = Path(str(facts.get("scene", bound.information.variable))).stem
     left = _LEFT / _WIDTH
-    figure.text(left, 1 - 0.2 / total, name, fontsize=17, weight="bold", va="top")
+    figure.text(left, 1 - 0.2 / total, name, fontsize=17, weight="bold", va="top", parse_math=False)
     summary = "   ·   ".join(parts)
-    figure.text(left, 1 - 0.58 / total, summary, fontsize=10.5, color=MUTED, va="top")
+    figure.text(left, 1 - 0.58 / total, summary, fontsize=10.5, color=MUTED, va="top", parse_math=False)
 
 
 def _weakest(

@@ -32,7 +32,7 @@ def agent_figure(result: TeamSelection, index: int) -> Figure:
     figure = _figure(6.4, 6.4 * min(height / width, 1.5) + 0.7)
     ax = figure.add_subplot()
     draw_tiles(ax, image, agent.tiles, chosen)
-    ax.set_title(agent.agent, loc="left", fontsize=13, weight="bold")
+    ax.set_title(agent.agent, loc="left", fontsize=13, weight="bold", parse_math=False)
     size = sum(int(agent.cost_bytes[tile]) for tile, _ in chosen)
     sent = f"{len(chosen)} of {len(agent.tiles)} tiles, {size} bytes"
     ax.set_title(sent, loc="right", fontsize=10, color=MUTED)

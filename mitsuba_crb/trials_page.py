@@ -37,6 +37,7 @@ def validation_figure(result: Validation) -> Figure:
         f"{Path(result.settings['scene']).name}: {len(squares)} alignments, {len(result.failed)} failed, "
         f"efficiency {result.efficiency:.0%}",
         fontsize=11,
+        parse_math=False,
     )
     return figure
 

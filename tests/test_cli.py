@@ -13,6 +13,7 @@ import numpy as np
 import OpenEXR
 import pytest
 import synthetic_view
+from typer.main import get_command
 
 from mitsuba_crb import cli, measure, scene, se3, trials, validation
 from mitsuba_crb.arguments import parse_defines, parse_pose, parse_size
@@ -421,6 +422,72 @@ sys.exit(", ".join(heavy) or 0)"""
     done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("mitsuba-crb 0.")
+
+
+COMMANDS = [command.callback.__name__ for command in cli.app.registered_commands]
+
+
+@pytest.mark.parametrize("name", [None, *COMMANDS])
+def test_help_says_every_word_brackets_included(name, capsys):
+    """Compared without blanks, since lines are broken wherever they are full."""
+    assert cli.run([name, "--help"] if name else ["--help"]) == 0
+    said = "".join(capsys.readouterr().out.split())
+    group = get_command(cli.app)
+    command = group.commands[name] if name else group
+    texts = [command.help, *(parameter.help for parameter in command.params)]
+    texts += [other.help.partition("\n")[0] for other in group.commands.values()] if name is None else []
+    for text in texts:
+        assert "".join(text.split()) in said
+    assert name != "bound" or "[noise]" in said
+
+
+BRACKETS = "[bold]:cat:$\\x$"
+"""What Rich and Matplotlib would take for markup."""
+
+
+@pytest.mark.parametrize("missing", ["scene", "pose", "noise", "json"])
+def test_a_message_keeps_the_brackets_of_a_name(missing, capsys):
+    name = f"/nowhere/{BRACKETS}"
+    arguments = [name] if missing == "scene" else [WALL, f"--{missing}", name]
+    assert name in refused(capsys, "bound", *arguments)
+
+
+def test_a_message_is_one_line_of_what_a_terminal_can_show(capsys):
+    cli.complain("a\nb\tc \x1b[2J\x00")
+    assert capsys.readouterr().err == "mitsuba-crb: a b c \ufffd[2J\ufffd\n"
+
+
+@pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")  # few samples
+def test_tables_and_pictures_keep_the_brackets_of_names(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.chdir(tmp_path)
+    text = Path(WALL).read_text(encoding="utf-8").replace("paint.exr", str(Path(WALL).parent / "paint.exr"))
+    scene_file = Path(f"{BRACKETS}.xml")
+    scene_file.write_text(text, encoding="utf-8")
+    prior = Path(f"{BRACKETS}.toml")
+    prior.write_text('frame = "camera"\nposition_std = 1\n')
+    team = Path(f"{BRACKETS} team.toml")
+    agents = "".join(
+        f"[[agents]]\nname = '{BRACKETS} {k}'\nscene = '{scene_file}'\nnoise = 0.01\n" for k in (1, 2)
+    )
+    team.write_text(f"[body]\nname = '{BRACKETS} body'\n[measure]\nsize = [16, 12]\nspp = 8\n{agents}")
+    small = ["--size", "16x12", "--spp", "8"]
+
+    def said(*arguments):
+        assert cli.run([*arguments]) in (0, 1)
+        return capsys.readouterr().out
+
+    bound = said("bound", str(scene_file), *small, "--prior", str(prior), "--plot", "bound.png")
+    assert str(scene_file) in bound
+    assert str(prior) in bound
+    fused = said("fuse", str(team), "--workers", "1")
+    chosen = said("select", str(team), "--workers", "1", "--budget", "1", "--plot", "tiles")
+    for table in (fused, chosen):
+        assert str(team) in table
+        assert f"{BRACKETS} 1" in table
+    assert "body" in fused
+    options = ["--trials", "8", "--workers", "1", "--perturb-deg", "0.1", "--plot", "trials.png"]
+    assert str(scene_file) in said("validate", str(scene_file), *small, *options)
 
 
 def test_sizes_and_defines():
