@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from noise_laws import DRAWS, NoiseLaws
@@ -152,12 +154,17 @@ class TestPhotonsThroughSRGBIntoCodes(NoiseLaws):
         bins = np.diff(below, axis=0, prepend=0.0, append=1.0)
         return np.log(bins[values, np.arange(3)]).sum(axis=1)
 
-    def test_many_values_are_interpolated_to_a_relative_1e_3(self):
-        mean = np.geomspace(1e-3, 0.9, 2400).reshape(800, 3)
-        pixels = np.zeros((800, 2), int)
-        together = self.model.weights(pixels, mean)
-        few = self.model.weights(pixels[::40], mean[::40])
-        np.testing.assert_allclose(together[::40], few, rtol=1e-3, atol=1e-6 * few.max())
+    @pytest.mark.parametrize("levels", [4, 64, 256])
+    def test_values_are_interpolated_to_a_relative_1e_3(self, levels):
+        mean = np.geomspace(1e-3, 0.9, 300).reshape(100, 3)
+        sensor = dataclasses.replace(self.model, quantisation=noise.Quantisation(levels))
+        x = self.exposure * mean
+        edges = noise.SRGB.inverse(sensor.quantisation.thresholds)
+        P, D = sensor.noise.cumulative(np.broadcast_to(edges, (100, 3, levels - 1)), ORIGIN, x)
+        p, d = (np.diff(each, axis=-1, prepend=0.0, append=end) for each, end in ((P, 1.0), (D, 0.0)))
+        exact = self.exposure**2 * np.sum(d**2 / np.maximum(p, 1e-30), axis=-1, where=p > 1e-14)
+        found = sensor.weights(np.zeros((100, 2), int), mean)
+        np.testing.assert_allclose(found, exact, rtol=1e-3, atol=1e-6 * exact.max())
 
     def test_the_unquantised_information_fails(self):
         endless = noise.Sensor(self.model.noise, "before", noise.SRGB, self.exposure)
@@ -214,6 +221,21 @@ class TestLuminance(NoiseLaws):
 
 
 class TestQuantisation:
+    @pytest.mark.parametrize("levels", [6, 64, 256])
+    @pytest.mark.parametrize(
+        "model", [noise.Gaussian(0.03), noise.Laplace(0.01), noise.PoissonGaussian(1e-3, 2e-3)], ids=str
+    )
+    def test_what_a_value_tells_does_not_depend_on_the_others(self, model, levels):
+        """Two of them alone, and among 3000."""
+        mean = np.random.default_rng(0).uniform(0.0, 1.1, (1000, 3))
+        sensor = noise.Sensor(model, "before", noise.SRGB, quantisation=noise.Quantisation(levels))
+        together = sensor.weights(np.zeros((1000, 2), int), mean)
+        for low in range(0, 1000, 100):
+            alone = sensor.weights(np.zeros((2, 2), int), mean[low : low + 2])
+            np.testing.assert_allclose(
+                alone, together[low : low + 2], rtol=1e-11, atol=1e-11 * together.max()
+            )
+
     @pytest.mark.parametrize(
         "model",
         [

@@ -13,6 +13,7 @@ where m is the noise's mean, x or r(x), and where noise comes first the bins' ed
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -33,7 +34,6 @@ _REACH = 9.0
 # More codes than this within reach are lumped together: 18 spreads in 1024 bins lose (18/1024)²/12 = 3e-5 of
 # a Gaussian's information, and at most 1 % at the kink of a Laplace density.
 _MOST_BINS = 1024
-_TABULATED = 2000  # values of photon noise; more are interpolated
 _CHUNK = 1 << 21  # numbers held at once
 
 
@@ -146,7 +146,7 @@ def categorical_information(
 ) -> Array:
     """(n, C), the information about its mean that a value keeps when only its bin is told.
 
-    Sums over photon counts are long: for many values of photon noise the kept fraction is tabulated.
+    Sums over photon counts are long: of photon noise the kept fraction is tabulated, once for all values.
 
     Args:
         noise: of the value.
@@ -154,13 +154,25 @@ def categorical_information(
         pixels: (n, 2), column x and row y.
         mean: (n, C).
     """
-    if isinstance(noise, PoissonGaussian) and mean.size > _TABULATED:
-        nodes = noise.nodes(float(mean.max()))[:, None]
-        pixel = np.zeros((len(nodes), 2), dtype=np.int64)
-        kept = _binned(noise, thresholds, pixel, nodes) / noise.weights(pixel, nodes)
-        fraction = PchipInterpolator(np.sqrt(nodes[:, 0]), kept[:, 0])(np.sqrt(np.maximum(mean, 0.0)))
-        return np.asarray(fraction * noise.weights(pixels, mean), dtype=np.float64)
+    if isinstance(noise, PoissonGaussian):
+        highest, fraction = _kept(noise, tuple(thresholds.tolist()))
+        root = np.sqrt(np.clip(mean, 0.0, highest))
+        return np.asarray(fraction(root) * noise.weights(pixels, mean), dtype=np.float64)
     return _binned(noise, thresholds, pixels, mean)
+
+
+@lru_cache(maxsize=8)
+def _kept(noise: PoissonGaussian, thresholds: tuple[float, ...]) -> tuple[float, PchipInterpolator]:
+    """The mean above which nothing is kept, and the kept fraction as a function of the mean's root."""
+    top, half = max(thresholds[-1], 0.0), 0.5 * _REACH**2 * noise.gain
+    # The last threshold lies `_REACH` spreads below: (mean − top)² = reach² (gain mean + read²).
+    highest = (
+        top + half + float(np.hypot(half, _REACH * np.hypot(np.sqrt(noise.gain * top), noise.read_noise)))
+    )
+    nodes = noise.nodes(highest)[:, None]
+    pixels = np.zeros((len(nodes), 2), dtype=np.int64)
+    told = _binned(noise, np.array(thresholds), pixels, nodes) / noise.weights(pixels, nodes)
+    return highest, PchipInterpolator(np.sqrt(nodes[:, 0]), np.minimum(told[:, 0], 1.0))
 
 
 def _binned(noise: ScalarNoise, thresholds: Array, pixels: NDArray[np.integer], mean: Array) -> Array:
@@ -168,13 +180,13 @@ def _binned(noise: ScalarNoise, thresholds: Array, pixels: NDArray[np.integer], 
     first = np.searchsorted(thresholds, mean - reach)
     count = np.searchsorted(thresholds, mean + reach) - first
     bins = min(int(count.max(initial=1)), _MOST_BINS)
-    fraction = np.linspace(0.0, 1.0, max(bins, 1))
     information = np.empty(mean.shape)
     rows = max(1, _CHUNK // (max(bins, 1) * mean.shape[1]))
     for start in range(0, len(mean), rows):
         part = slice(start, start + rows)
         # Equal thresholds give bins of no probability, which count nothing.
-        steps = np.floor(fraction * np.maximum(count[part, :, None] - 1, 0)).astype(np.intp)
+        last = np.maximum(count[part, :, None] - 1, 0)
+        steps = np.arange(max(bins, 1)) * last // max(bins - 1, 1)  # by floats the last step may be missed
         near = thresholds[np.minimum(first[part, :, None] + steps, len(thresholds) - 1)]
         P, D = noise.cumulative(near, pixels[part], mean[part])
         p = np.diff(P, axis=-1, prepend=0.0, append=1.0)
