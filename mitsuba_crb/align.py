@@ -212,7 +212,7 @@ class _Search:
             self.tie(anchor)
         known = None if anchor is None else anchor.jacobian
         if known is None or not _covers(known, run.mask):
-            known = run.jacobian()
+            known = run.jacobian(pilot=noise.depends_on_mean)
         self._use(known.only(run.mask, run.selection.description))
         self.differentiate(run.view.pose)
         if not np.diagonal(self.plain).all():
@@ -259,7 +259,7 @@ class _Search:
     def differentiate(self, pose: Array) -> None:
         """Measure J anew where the image has moved since it last was."""
         if self.motion(self.jacobian.pose, pose) > _REFRESH:
-            self._use(self.run.at(pose).jacobian())
+            self._use(self.run.at(pose).jacobian(pilot=self.noise.depends_on_mean))
 
     def _use(self, jacobian: ImageJacobian) -> None:
         self.jacobian = jacobian
@@ -276,7 +276,7 @@ class _Search:
         finite = row >= 0
         values, weights = np.zeros((len(pixels), 3, 6)), np.zeros((len(pixels), 3))
         values[finite] = jacobian.values[row[finite]]
-        weights[finite] = self.noise.weights(pixels[finite], jacobian.mean[row[finite]])
+        weights[finite] = self.noise.weights(pixels[finite], jacobian.expected[row[finite]])
         return values, weights, finite
 
     def _weigh(self) -> None:
@@ -361,7 +361,9 @@ class _Search:
             part = np.zeros_like(self.run.mask)
             part[self.pixels[chosen, 1], self.pixels[chosen, 0]] = True
             here = dataclasses.replace(self.run.at(pose).only(part), seed=self.run.seed + iteration)
-            values, weights, _ = self._rows(here.jacobian(), self.pixels[chosen])
+            values, weights, _ = self._rows(
+                here.jacobian(pilot=self.noise.depends_on_mean), self.pixels[chosen]
+            )
             difference = self.difference(pose).mean(axis=0)[chosen]
             slope = -scale * np.einsum("ncp,nc->p", values, weights * difference)
             first = _FIRST * first + (1.0 - _FIRST) * slope

@@ -300,7 +300,7 @@ def bound(
 
             def on_tile(tile: TileJacobian, done: int, total: int) -> None:
                 if gathering is not None:
-                    gathering.add(tile.pixels, tile.mean, tile.batch_values)
+                    gathering.add(tile.pixels, tile.mean, tile.batch_values, tile.expected)
                 advance(done, total)
 
             loaded = load_scene(scene, **defines)

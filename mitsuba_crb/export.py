@@ -121,6 +121,7 @@ class Gathering:
         pixels: npt.NDArray[np.integer],
         mean: npt.NDArray[np.float64],
         batch_values: npt.NDArray[np.float64],
+        expected: npt.NDArray[np.float64] | None = None,
     ) -> None:
         """Take over some pixels.
 
@@ -128,8 +129,10 @@ class Gathering:
             pixels: (n, 2) columns and rows.
             mean: (n, C) the image there.
             batch_values: (K, n, C, 6) independent estimates of dI/dξ in the camera frame.
+            expected: (n, C) the image by other random numbers, for noise that depends on it; None: `mean`.
         """
-        weights = np.ones_like(mean) if self._noise is None else self._noise.weights(pixels, mean)
+        expected = mean if expected is None else expected
+        weights = np.ones_like(mean) if self._noise is None else self._noise.weights(pixels, expected)
         values = np.mean(batch_values, axis=0).astype(np.float32)
         own = pixel_information(batch_values, weights)
         self._tiles.append((np.array(pixels), mean.astype(np.float32), values, own))
@@ -179,7 +182,7 @@ def pictures_of(
     """The pictures of a Jacobian held whole, its columns in the camera frame."""
     jacobian = jacobian.to_frame("camera")
     gathering = Gathering(noise)
-    gathering.add(jacobian.pixels, jacobian.mean, jacobian.batch_values)
+    gathering.add(jacobian.pixels, jacobian.mean, jacobian.batch_values, jacobian.expected)
     height, width = jacobian.image.shape[:2]
     return gathering.pictures(information, (width, height))
 

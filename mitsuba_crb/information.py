@@ -126,6 +126,9 @@ class ImageJacobian:
     """Side [pixel] of the film blocks whose Monte Carlo errors are independent; 1: every pixel's own."""
     parameters: tuple[str, ...] = ()
     """Names of the nuisance parameters, in the order of their columns."""
+    pilot: Array | None = None
+    """(H, W, C) the same image by other random numbers, for noise that depends on it: `image` shares errors
+    with the derivatives. None, as of a Jacobian made by hand, takes `image` for free of errors."""
     provenance: dict[str, Any] = field(default_factory=dict)
     """How it was computed, JSON-able."""
 
@@ -140,6 +143,12 @@ class ImageJacobian:
         x, y = self.pixels.T
         return np.asarray(self.image[y, x], dtype=np.float64)
 
+    @property
+    def expected(self) -> Array:
+        """(n, C), the pilot at the pixels, or the image where there is none: what noise may depend on."""
+        x, y = self.pixels.T
+        return np.asarray((self.image if self.pilot is None else self.pilot)[y, x], dtype=np.float64)
+
     def only(self, mask: NDArray[np.bool_], description: str | None = None) -> ImageJacobian:
         """Of those of its pixels that are in a mask (H, W); they are all that an estimator has."""
         x, y = self.pixels.T
@@ -150,6 +159,7 @@ class ImageJacobian:
             batch_values=self.batch_values if kept.all() else self.batch_values[:, kept],
             pixels=self.pixels[kept],
             image=np.where(mask[..., None], self.image, np.nan),
+            pilot=None if self.pilot is None else np.where(mask[..., None], self.pilot, np.nan),
             selection=selection,
             provenance={**self.provenance, "pixels": vars(selection).copy()} if self.provenance else {},
         )
@@ -598,7 +608,8 @@ def feed(
         jacobian: of the whole image, or of the selected pixels.
         noise: independent or correlated between pixels.
         mean: (H, W, C) noise-free image for models that depend on it, rendered with other random numbers than
-            the Jacobian; by default the Jacobian's own image, whose Monte Carlo errors are not independent.
+            the Jacobian; by default the Jacobian's pilot. A Jacobian without one should have an image free of
+            errors: those that its derivatives share can make the information several times too large.
 
     Raises:
         NoiseError: the noise model does not fit the image.
@@ -608,11 +619,14 @@ def feed(
     if isinstance(noise, CoupledNoise):
         accumulator.add_coupled(jacobian.batch_values, noise, jacobian.pixels)
         return
-    image = jacobian.image if mean is None else np.asarray(mean, dtype=np.float64)
-    if image.shape != jacobian.image.shape:
-        raise NoiseError(f"the mean has shape {image.shape}, but the image is {jacobian.image.shape}")
-    x, y = jacobian.pixels.T
-    accumulator.add(jacobian.batch_values, noise.weights(jacobian.pixels, image[y, x]), jacobian.pixels)
+    if mean is not None:
+        jacobian = dataclass_replace(jacobian, pilot=np.asarray(mean, dtype=np.float64))
+    if jacobian.pilot is not None and jacobian.pilot.shape != jacobian.image.shape:
+        raise NoiseError(
+            f"the mean has shape {jacobian.pilot.shape}, but the image is {jacobian.image.shape}"
+        )
+    weights = noise.weights(jacobian.pixels, jacobian.expected)
+    accumulator.add(jacobian.batch_values, weights, jacobian.pixels)
 
 
 def as_noise_model(noise: object) -> NoiseModel:

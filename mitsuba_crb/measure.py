@@ -29,7 +29,7 @@ from .information import BLOCK, Accumulator, ImageJacobian, PixelSelection, as_n
 from .jacobian.finite_difference import STEP_PIXELS
 from .joint import JointAccumulator, tile_side
 from .lending import in_turn
-from .noise import CoupledNoise, Gaussian, IndependentNoise, NoiseModel
+from .noise import CoupledNoise, Gaussian, NoiseModel
 from .nuisance import Nuisance, nuisance_columns, open_nuisances
 from .scene import View, open_view
 
@@ -91,7 +91,8 @@ def pose_jacobian(
 
     Returns:
         `ImageJacobian` in the camera frame; translation columns [radiance / scene unit], rotation columns
-        [radiance / rad].
+        [radiance / rad]. Its pilot makes `fisher_information` under any noise that of `pose_bound`; for flow
+        it costs up to as much again as the derivatives, which `pose_bound` pays for only where needed.
 
     Raises:
         MitsubaCRBError: one of its subclasses, in one line, with the cure.
@@ -101,7 +102,7 @@ def pose_jacobian(
     """
     with measurement(scene, nuisances=nuisances, **options) as run:
         run.warn_of_limits()
-        return run.jacobian()
+        return run.jacobian(pilot=True)
 
 
 @in_turn
@@ -191,6 +192,8 @@ class TileJacobian:
     """(n, 3) the image there, by the derivative's own paths [radiance]."""
     nuisance_values: NDArray[np.float64] | None = None
     """(K, n, 3, m) estimates of the derivatives in the nuisance parameters; None without any."""
+    pilot: NDArray[np.float64] | None = None
+    """(n, 3) the image there by other random numbers; None where no noise depends on it."""
 
     def finite(self) -> TileJacobian:
         """Without the pixels at which anything is NaN or infinite."""
@@ -203,7 +206,13 @@ class TileJacobian:
             [np.isfinite(values).all(axis=(0, *range(2, values.ndim))) for values in found]
         )
         others = None if self.nuisance_values is None else self.nuisance_values[:, good]
-        return TileJacobian(self.batch_values[:, good], self.pixels[good], self.mean[good], others)
+        pilot = None if self.pilot is None else self.pilot[good]
+        return TileJacobian(self.batch_values[:, good], self.pixels[good], self.mean[good], others, pilot)
+
+    @property
+    def expected(self) -> NDArray[np.float64]:
+        """(n, 3), what noise may depend on: the pilot, or the image where there is none."""
+        return self.mean if self.pilot is None else self.pilot
 
     @property
     def all_values(self) -> NDArray[np.float64]:
@@ -336,15 +345,16 @@ class Measurement:
                 "them out with --drop-invalid (drop_invalid=True)"
             )
 
-    def jacobian(self) -> ImageJacobian:
-        """The Jacobian of every selected pixel, held at once, row by row."""
+    def jacobian(self, *, pilot: bool = False) -> ImageJacobian:
+        """The Jacobian of every selected pixel, held at once, row by row; `pilot` as for `tiles`."""
         image = np.full((*self.mask.shape, 3), np.nan)
+        expected = np.full_like(image, np.nan)
         measured = np.zeros_like(self.mask)
         place = (np.cumsum(self.mask) - 1).reshape(self.mask.shape)
         values = np.empty((self.batches, int(self.mask.sum()), 3, 6 + len(self.parameters)))
-        for part in self.tiles():
+        for part in self.tiles(pilot=pilot):
             x, y = part.pixels.T
-            image[y, x], measured[y, x] = part.mean, True
+            image[y, x], expected[y, x], measured[y, x] = part.mean, part.expected, True
             values[:, place[y, x]] = part.all_values
         return ImageJacobian(
             batch_values=values if measured[self.mask].all() else values[:, measured[self.mask]],
@@ -357,6 +367,7 @@ class Measurement:
             variable=self.view.variable,
             block=self.block,
             parameters=self.parameters,
+            pilot=expected if pilot else None,
             provenance=self.provenance(),
         )
 
@@ -372,21 +383,16 @@ class Measurement:
             values = np.concatenate([part.all_values for part in parts], axis=1)
             accumulator.add_coupled(values, noise, np.concatenate([part.pixels for part in parts]))
             return
-        for part in self.tiles():
-            accumulator.add(part.all_values, self.weights(noise, part), part.pixels)
+        for part in self.tiles(pilot=noise.depends_on_mean):
+            accumulator.add(part.all_values, noise.weights(part.pixels, part.expected), part.pixels)
 
-    def weights(self, noise: IndependentNoise, part: TileJacobian) -> NDArray[np.float64]:
-        """The noise model's weights in a tile; where they depend on the image, on a render of its own.
+    def tiles(self, *, pilot: bool = False) -> Iterator[TileJacobian]:
+        """The Jacobian, one tile after the other.
 
-        The Jacobian's own image has its errors in common with it, which would bias the information.
+        Args:
+            pilot: also render the image by other random numbers, for noise that depends on it: the Jacobian's
+                own has its errors in common with it, which would bias the information.
         """
-        if not noise.depends_on_mean:
-            return noise.weights(part.pixels, part.mean)
-        mean = _pilot(self.view, part.pixels, self.seed, max(_PILOT_SPP, self.spp))
-        return noise.weights(part.pixels, np.where(np.isfinite(mean), mean, part.mean))
-
-    def tiles(self) -> Iterator[TileJacobian]:
-        """The Jacobian, one tile after the other."""
         paths = {"spp": self.spp, "seed": self.seed, "batches": self.batches}
         done, total, invalid = 0, int(self.mask.sum()), 0
         for part, (values, images, image) in self._in_turn(paths):
@@ -395,13 +401,19 @@ class Measurement:
             if self.nuisances:
                 others = nuisance_columns(self.nuisances, self.view, part, images, film, **paths)
             done += len(part)
-            tile = TileJacobian(values, part, image, others).finite()
+            expected = self._expected(part, image) if pilot else None
+            tile = TileJacobian(values, part, image, others, expected).finite()
             invalid += len(part) - len(tile.pixels)
             if self.on_tile is not None:
                 self.on_tile(tile, done, total)
             if self.drop_invalid or not invalid:
                 yield tile
         self.check_valid(invalid, total)
+
+    def _expected(self, pixels: NDArray[np.int64], mean: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n, 3), the pilot; where it is not finite, the mean."""
+        image = _pilot(self.view, pixels, self.seed, max(_PILOT_SPP, self.spp), even=True)
+        return np.where(np.isfinite(image), image, mean)
 
     def _in_turn(self, paths: dict[str, int]) -> Iterator[tuple[NDArray[np.int64], Any]]:
         """Each tile's pixels and what the method says of them; flow takes its steps as `flow.steps` says."""
@@ -490,10 +502,12 @@ def _pilot_image(view: View, seed: int, tile: int) -> NDArray[np.float64]:
     return image
 
 
-def _pilot(view: View, pixels: NDArray[np.int64], seed: int, spp: int = _PILOT_SPP) -> NDArray[np.float64]:
+def _pilot(
+    view: View, pixels: NDArray[np.int64], seed: int, spp: int = _PILOT_SPP, even: bool = False
+) -> NDArray[np.float64]:
     from .jacobian.pixels import PILOT, render_pixels
 
-    image = render_pixels(view, pixels, spp=spp, seed=seed, purpose=PILOT)
+    image = render_pixels(view, pixels, spp=spp, seed=seed, purpose=PILOT, even=even)
     return np.asarray(image[0])
 
 

@@ -68,8 +68,8 @@ def tile_information(
             raise SelectionError(correlated_refusal([name]))
         model.check(run.mask.shape[0], run.mask.shape[1], 3)
         run.warn_of_limits()
-        for part in run.tiles():
-            grid.add(part.batch_values, run.weights(model, part), part.pixels)
+        for part in run.tiles(pilot=model.depends_on_mean):
+            grid.add(part.batch_values, model.weights(part.pixels, part.expected), part.pixels)
         select, report = grid.halves(
             np.repeat([run.length_scale, 1.0], 3),
             factor=run.selection.total / run.selection.selected if sampled else 1.0,

@@ -68,7 +68,7 @@ def information_share(jacobian: ImageJacobian, noise: NoiseModel, direction: Arr
         raise OptionError(
             f"the image has no information about this direction ({total:.3g}), so there is nothing to share"
         )
-    weights = noise.weights(camera.pixels, camera.mean)
+    weights = noise.weights(camera.pixels, camera.expected)
     own = along(pixel_information(camera.batch_values, weights), v)
     x, y = camera.pixels.T
     share = np.full(camera.image.shape[:2], np.nan)

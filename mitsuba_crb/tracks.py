@@ -236,8 +236,8 @@ class _Windows:
         accumulator = InformationAccumulator(batches=run.batches, block=run.block)
         image = np.full((height, width), np.nan)
         tensor, variance = np.zeros((height, width, 2, 2)), np.zeros((height, width))
-        for part in run.tiles():
-            weights = run.weights(model, part)
+        for part in run.tiles(pilot=model.depends_on_mean):
+            weights = model.weights(part.pixels, part.expected)
             accumulator.add(part.batch_values, weights, part.pixels)
             x, y = part.pixels.T
             image[y, x] = part.mean.mean(axis=1)

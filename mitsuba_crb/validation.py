@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from .errors import OptionError
 from .information import FisherInformation, ImageJacobian, fisher_information
 from .jacobian import finite_difference
-from .measure import METHODS, MeasurementOptions, measurement, pose_jacobian
+from .measure import METHODS, MeasurementOptions, measurement
 from .noise import Gaussian
 from .scene import as_scene
 
@@ -132,7 +132,9 @@ def check_jacobian(
             "seed": seed + stream,
             "step_pixels": step,
         }
-        return pose_jacobian(loaded, **given)
+        with measurement(loaded, **given) as view:
+            view.warn_of_limits()
+            return view.jacobian()
 
     reference = jacobian("finite_difference", 1)
     noise = Gaussian(float(np.nanmax(np.abs(reference.image))) or 1.0)

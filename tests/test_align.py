@@ -5,18 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from scipy import stats
-from small_scenes import textured_wall, torn_wall
+from small_scenes import scene, textured_wall, torn_wall, wall
 
-from mitsuba_crb import se3
+from mitsuba_crb import pose_bound, pose_jacobian, se3
 from mitsuba_crb.align import Alignment, Anchor, align
 from mitsuba_crb.errors import AlignmentError, NoiseError, RadianceError
 from mitsuba_crb.information import PixelSelection
 from mitsuba_crb.jacobian.pixels import render_pixels
 from mitsuba_crb.measure import measurement
-from mitsuba_crb.noise import SRGB, ColourBlocks, Gaussian, PerPixel, Sensor
+from mitsuba_crb.noise import SRGB, ColourBlocks, Gaussian, PerPixel, PoissonGaussian, Sensor
 from mitsuba_crb.scene import as_scene, open_view
 from mitsuba_crb.subset import selected
 from mitsuba_crb.trials import validate
@@ -255,6 +256,21 @@ def test_the_estimate_is_not_biased_by_the_renderers_noise(textured: Any, truth:
     whitened = np.array(errors) @ root.T
     nees = np.mean(np.sum(whitened**2, axis=1)) / (1.0 + np.mean(excess))
     assert 3.6 < nees < 9.0  # 99.9 % of χ²_120 / 20
+
+
+def test_the_bound_at_the_estimate_is_the_measurements_also_where_noise_depends_on_the_image() -> None:
+    """To the error of the Jacobian that the search has measured near there."""
+    edges = scene(wall=wall({"type": "checkerboard", "to_uv": mi.ScalarTransform4f().scale(8)}))
+    photons = PoissonGaussian(gain=1e-3, read_noise=2e-4)
+    image = pose_jacobian(edges, spp=1024).image
+    found = align(edges, image, photons, spp=64, seed=1)
+    assert found.status == "converged"
+    bound = pose_bound(edges, photons, spp=64, seed=2, pose=found.pose)
+    informations = found.bound.information, bound.information
+    one, other = (np.diagonal(information.matrix) for information in informations)
+    error = np.hypot(*(np.diagonal(information.standard_error) for information in informations))
+    # Weights are not linear in the image: 64 paths leave some per cent.
+    assert np.all(np.abs(one - other) < 4.0 * error + 0.05 * other)
 
 
 @pytest.mark.parametrize(

@@ -37,9 +37,7 @@ def rendered(monkeypatch):
         warnings.warn("one thing to know", PrecisionWarning, stacklevel=2)
         view = calls.view
         for count, half in enumerate(np.array_split(np.arange(len(view.pixels)), 2), 1):
-            tile = SimpleNamespace(
-                batch_values=view.batch_values[:, half], pixels=view.pixels[half], mean=view.mean[half]
-            )
+            tile = measure.TileJacobian(view.batch_values[:, half], view.pixels[half], view.mean[half])
             on_tile(tile, count * len(half), len(view.pixels))
         return synthetic_view.bound(view)
 

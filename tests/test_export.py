@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 from pathlib import Path
@@ -21,7 +22,9 @@ from mitsuba_crb.export import (
     write_exr,
     write_json,
 )
-from mitsuba_crb.noise import Gaussian
+from mitsuba_crb.information import fisher_information
+from mitsuba_crb.noise import Gaussian, PoissonGaussian
+from mitsuba_crb.pixel_information import information_share
 
 KEYS = {
     "schema",
@@ -177,6 +180,20 @@ def test_information_density_sums_to_the_scaled_trace(kind, fraction):
     size = view.image.shape[1::-1]
     later = gathering.pictures(information, size, variance=synthetic_view.SIGMA**2)
     np.testing.assert_allclose(later.information, weighted, rtol=1e-12)
+
+
+def test_information_density_sums_to_the_trace_where_noise_depends_on_the_image_too(view):
+    """The noise reads the pilot, which is twice as bright as the image here."""
+    photons = PoissonGaussian(0.01, 0.02)
+    view = dataclasses.replace(view, pilot=2.0 * view.image)
+    information = fisher_information(view, photons)
+    trace = np.diagonal(information.matrix) @ information.scale**2
+    pictures = pictures_of(view, information, photons)
+    assert np.nansum(pictures.information) == pytest.approx(trace, rel=1e-9)
+    dim = fisher_information(dataclasses.replace(view, pilot=None), photons)
+    assert np.diagonal(dim.matrix) @ dim.scale**2 > 1.2 * trace
+    share = information_share(view, photons, pictures.weakest.direction)
+    np.testing.assert_allclose(share, pictures.weakest_share, rtol=1e-9)
 
 
 def test_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path):
