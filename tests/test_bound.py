@@ -12,6 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from matrices import misfit
 from scipy.spatial.transform import Rotation
 
 from mitsuba_crb import se3
@@ -77,8 +78,8 @@ class TestFullRank:
     def test_covariance_is_the_inverse(self):
         F = _random(1)
         bound = cramer_rao_bound(_information(F))
-        np.testing.assert_allclose(bound.covariance, np.linalg.inv(F), rtol=1e-10)
-        np.testing.assert_allclose(bound.seen_covariance, bound.covariance, rtol=1e-10)
+        assert misfit(bound.covariance, np.linalg.inv(F)) < 1e-10
+        assert misfit(bound.seen_covariance, bound.covariance) < 1e-10
         assert (bound.rank, bound.unobserved, bound.frame) == (6, (), "camera")
 
     def test_a_diagonal_information_has_closed_form_answers(self):
@@ -114,8 +115,9 @@ class TestFullRank:
     def test_the_length_scale_does_not_change_the_reports(self, length_scale):
         bound = cramer_rao_bound(_information(_random(1), length_scale=length_scale))
         reference = cramer_rao_bound(_information(_random(1)))
-        np.testing.assert_allclose(bound.position_std, reference.position_std, rtol=1e-9)
-        np.testing.assert_allclose(bound.covariance, reference.covariance, rtol=1e-9)
+        # In units of 1e-3 lengths the matrix that is inverted has 1e6 times the condition number.
+        np.testing.assert_allclose(bound.position_std, reference.position_std, rtol=1e-8)
+        assert misfit(bound.covariance, reference.covariance) < 1e-8
 
     def test_mixed_units_keep_their_digits(self):
         """A scene in millimetres seen from 10 m: entries of F differ by 1e14."""
@@ -135,9 +137,9 @@ class TestFrames:
             np.testing.assert_array_equal(getattr(world, name), getattr(camera, name))
         assert (world.frame, world.information.frame, world.rank) == ("world", "world", camera.rank)
         A = se3.adjoint(POSE)
-        np.testing.assert_allclose(world.seen_covariance, A @ camera.seen_covariance @ A.T, rtol=1e-8)
+        assert misfit(world.seen_covariance, A @ camera.seen_covariance @ A.T) < 1e-8
         if rank == 6:
-            np.testing.assert_allclose(world.covariance, np.linalg.inv(world.information.matrix), rtol=1e-8)
+            assert misfit(world.covariance, np.linalg.inv(world.information.matrix)) < 1e-8
 
     @pytest.mark.parametrize("unseen", [(), ([1, 0, 0, 0, 0, 0],), ([0.3, 0.5, 0, 0, 1, 0],)])
     def test_ten_kilometres_away_the_answer_is_the_same(self, unseen):
@@ -244,7 +246,7 @@ class TestUnseenDirections:
         assert np.isfinite(bound.rotation_std_deg).all()
         seen = [0, 2, 3, 4, 5]
         inverse = np.linalg.inv(F[np.ix_(seen, seen)])
-        np.testing.assert_allclose(bound.covariance[np.ix_(seen, seen)], inverse, rtol=1e-9)
+        assert misfit(bound.covariance[np.ix_(seen, seen)], inverse) < 1e-9
         assert bound.covariance[1, 1] == np.inf
         assert np.isnan(bound.covariance[1, seen]).all()
         assert np.isnan(bound.covariance[seen, 1]).all()
@@ -435,7 +437,7 @@ class TestEllipsoid:
             ("rotation", bound.rotation_covariance_deg2),
         ):
             semi_axes, directions = bound.ellipsoid(which)
-            np.testing.assert_allclose(directions * semi_axes**2 @ directions.T, covariance, rtol=1e-9)
+            assert misfit(directions * semi_axes**2 @ directions.T, covariance) < 1e-9
             np.testing.assert_allclose(directions.T @ directions, np.eye(3), atol=1e-12)
             assert np.all(np.diff(semi_axes) <= 0.0)
             np.testing.assert_allclose(bound.ellipsoid(which, sigma=3.0)[0], 3.0 * semi_axes)
@@ -511,8 +513,8 @@ class TestPrior:
         expected = np.linalg.inv(F + P)
         for prior in (P, _information(P), P.tolist()):
             bound = cramer_rao_bound(_information(F), prior=prior)
-            np.testing.assert_allclose(bound.covariance, expected, rtol=1e-9)
-            np.testing.assert_allclose(bound.information.matrix, F + P, rtol=1e-12)
+            assert misfit(bound.covariance, expected) < 1e-9
+            assert misfit(bound.information.matrix, F + P) < 1e-12
         np.testing.assert_allclose(bound.eigenvalues, np.linalg.eigvalsh(F + P)[::-1], rtol=1e-12)
 
     def test_a_matrix_is_read_in_the_frame_of_the_information(self):
@@ -558,7 +560,7 @@ class TestPrior:
     def test_without_any_information_the_prior_is_the_answer(self):
         P = _random(25, strength=1.0)
         bound = cramer_rao_bound(_information(np.zeros((6, 6))), prior=P)
-        np.testing.assert_allclose(bound.covariance, np.linalg.inv(P), rtol=1e-8)
+        assert misfit(bound.covariance, np.linalg.inv(P)) < 1e-8
         partial = cramer_rao_bound(
             _information(np.zeros((6, 6)), pose=np.eye(4)), prior=np.diag([1.0, 4, 0, 0, 0, 0])
         )

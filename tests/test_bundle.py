@@ -8,6 +8,7 @@ import gtsam
 import numpy as np
 import pycolmap
 import pytest
+from matrices import misfit
 from rigs import made
 from scipy.linalg import expm
 
@@ -70,12 +71,6 @@ def weight(view):
     return whole
 
 
-def error(found, wanted):
-    """Largest deviation of entries in units of the diagonal, which has mixed units."""
-    d = np.sqrt(np.diagonal(wanted))
-    return np.abs((found - wanted) / np.outer(d, d)).max()
-
-
 class TestKnownPoints:
     @pytest.mark.parametrize("origin", [0.0, 1e4])
     def test_it_is_the_gauss_newton_hessian(self, origin):
@@ -83,12 +78,12 @@ class TestKnownPoints:
         points, (view,) = scene(np.random.default_rng(1), origin=origin)
         J = reprojection_jacobian(points, view)[:, :6]
         information = point_information(points, view)
-        assert error(information.matrix, J.T @ weight(view) @ J) < (1e-10 if origin == 0.0 else 1e-9)
+        assert misfit(information.matrix, J.T @ weight(view) @ J) < (1e-10 if origin == 0.0 else 1e-9)
         assert not information.covariance_of_entries.any()
         assert (information.frame, information.variable) == ("camera", "c0")
         np.testing.assert_array_equal(information.pose, view.pose)
         # Negative control: the left perturbation's Hessian is another matrix.
-        assert error(information.to_frame("world").matrix, J.T @ weight(view) @ J) > 0.1
+        assert misfit(information.to_frame("world").matrix, J.T @ weight(view) @ J) > 0.1
 
     def test_one_sigma_many_and_covariances_agree(self):
         points, (view,) = scene(np.random.default_rng(2))
@@ -106,7 +101,7 @@ class TestKnownPoints:
             point_information(points, dataclasses.replace(view, noise=np.asarray(view.noise)[s], seen=s))
             for s in (np.arange(8), np.arange(8, 20))
         ]
-        assert error((parts[0] + parts[1]).matrix, point_information(points, view).matrix) < 1e-13
+        assert misfit((parts[0] + parts[1]).matrix, point_information(points, view).matrix) < 1e-13
 
     def test_points_on_a_line_leave_the_turn_about_it_unseen(self):
         line = np.array([0.3, -0.2, 5.0]) + np.outer(np.linspace(-1.0, 1.0, 9), [0.4, 0.9, 0.3])
@@ -133,17 +128,17 @@ class TestKnownPoints:
         )
         unit = point_information(points, dataclasses.replace(view, noise=1.0))
         ours = se3.move_covariance(np.linalg.inv(unit.matrix), se3.colmap_from_camera(view.pose))
-        assert error(found["covariance"], ours) < 1e-9
+        assert misfit(found["covariance"], ours) < 1e-9
         # Negative control: without the half of COLMAP's quaternion tangent.
-        assert error(found["covariance"], np.linalg.inv(unit.matrix)) > 0.1
+        assert misfit(found["covariance"], np.linalg.inv(unit.matrix)) > 0.1
 
     def test_gtsam_s_marginals(self):
         points, (view,) = scene(np.random.default_rng(5))
         graph, values = gtsam_graph(points, [view], points_known=True)
         theirs = gtsam.Marginals(graph, values).marginalCovariance(0)
         ours = np.linalg.inv(point_information(points, view).matrix)
-        assert error(theirs, se3.move_covariance(ours, se3.gtsam_from_camera())) < 1e-9
-        assert error(theirs, ours) > 0.1
+        assert misfit(theirs, se3.move_covariance(ours, se3.gtsam_from_camera())) < 1e-9
+        assert misfit(theirs, ours) > 0.1
 
 
 def gtsam_graph(points, views, *, points_known, priors=()):
@@ -205,8 +200,8 @@ class TestUnknownPoints:
         expected = rest.T @ rest
         found = joint_point_information(points, views)
         assert found.variables == ("c0", "c1", "c2")
-        assert error(found.matrix, expected) < 1e-10
-        assert error(found.matrix, poses.T @ poses) > 0.1
+        assert misfit(found.matrix, expected) < 1e-10
+        assert misfit(found.matrix, poses.T @ poses) > 0.1
 
     def test_gtsam_s_marginals_with_what_is_known_of_two_poses(self):
         """Two priors remove the gauge, scale included; joint covariances with their cross terms."""
@@ -231,11 +226,11 @@ class TestUnknownPoints:
         ours = PoseGraph(images, joint=[joint_point_information(points, views)])
         A = np.kron(np.eye(3), se3.gtsam_from_camera())
         whole = A @ np.linalg.inv(ours.matrix.toarray()) @ A.T
-        assert error(np.block([[theirs.at(a, b) for b in keys] for a in keys]), whole) < 1e-6
+        assert misfit(np.block([[theirs.at(a, b) for b in keys] for a in keys]), whole) < 1e-6
         for k, view in enumerate(views):
             covariance = np.linalg.inv(ours.marginal(view.variable).matrix)
             moved = se3.move_covariance(covariance, se3.gtsam_from_camera())
-            assert error(marginals.marginalCovariance(k), moved) < 1e-6
+            assert misfit(marginals.marginalCovariance(k), moved) < 1e-6
 
     def test_seven_directions_are_free_and_six_once_a_camera_is_fixed(self):
         points, views = self._two_of_three(8)

@@ -12,6 +12,7 @@ from itertools import combinations, pairwise, permutations
 
 import numpy as np
 import pytest
+from matrices import misfit
 
 from mitsuba_crb import noise, se3
 from mitsuba_crb.errors import FrameError, NoiseError, OptionError, PixelsError, RadianceError
@@ -104,8 +105,8 @@ class TestMean:
         sim = Simulation(20, 30, noise=0.0)
         for block in (1, BLOCK):
             information = sim.information(block=block)
-            np.testing.assert_allclose(information.matrix, sim.truth, rtol=1e-12)
-            np.testing.assert_allclose(information.plain_matrix, sim.truth, rtol=1e-12)
+            assert misfit(information.matrix, sim.truth) < 1e-12
+            assert misfit(information.plain_matrix, sim.truth) < 1e-12
             assert np.abs(information.standard_error).max() < 1e-12 * np.abs(sim.truth).max()
 
     @pytest.mark.parametrize("batches", [4, 5, 7])
@@ -117,8 +118,8 @@ class TestMean:
         expected = (total - squares) / (batches * (batches - 1))
         for block in (1, BLOCK):
             information = _information(values, sim.weights, sim.pixels, block=block)
-            np.testing.assert_allclose(information.matrix, expected, rtol=1e-11)
-            np.testing.assert_allclose(information.plain_matrix, total / batches**2, rtol=1e-12)
+            assert misfit(information.matrix, expected) < 1e-11
+            assert misfit(information.plain_matrix, total / batches**2) < 1e-12
 
     def test_it_is_unbiased_where_the_plain_product_is_not(self):
         sim = Simulation(16, 16)
@@ -188,8 +189,7 @@ class TestCovarianceOfEntries:
         sample = np.cov(np.array([pack(run.matrix) for run in runs]).T)
         estimate = np.mean([run.covariance_of_entries for run in runs], axis=0)
         np.testing.assert_allclose(np.diagonal(estimate) / np.diagonal(sample), 1.0, atol=0.36)
-        d = np.sqrt(np.diagonal(sample))
-        np.testing.assert_allclose(estimate / np.outer(d, d), sample / np.outer(d, d), atol=0.36)
+        assert misfit(estimate, sample) < 0.36
 
     def test_pixels_taken_for_independent_would_hide_what_a_block_shares(self):
         sim = Simulation(32, 48, noise=0.5, common=0.6)
@@ -289,8 +289,8 @@ class TestTiles:
         tiled = accumulator.information(
             frame="camera", variable="c", pose=POSE, length_scale=1.0, selection=_selection("all", 3500)
         )
-        np.testing.assert_allclose(tiled.matrix, whole.matrix, rtol=1e-12)
-        np.testing.assert_allclose(tiled.plain_matrix, whole.plain_matrix, rtol=1e-12)
+        assert misfit(tiled.matrix, whole.matrix) < 1e-12
+        assert misfit(tiled.plain_matrix, whole.plain_matrix) < 1e-12
         tolerance = 1e-10 * np.abs(whole.covariance_of_entries).max()
         np.testing.assert_allclose(tiled.covariance_of_entries, whole.covariance_of_entries, atol=tolerance)
 
@@ -330,7 +330,7 @@ class TestRandomSubset:
         np.testing.assert_allclose(
             information.matrix, 4.0 * _truth(sim.J[index], sim.weights[index]), rtol=1e-12
         )
-        np.testing.assert_allclose(information.covariance_of_entries, expected, rtol=1e-9)
+        assert misfit(information.covariance_of_entries, expected) < 1e-9
 
     @pytest.mark.parametrize(("block", "common", "fraction"), [(1, 0.0, 0.3), (BLOCK, 0.3, 0.4)])
     def test_matrix_and_covariance_are_unbiased_over_subsets_and_noise(self, block, common, fraction):
@@ -390,10 +390,7 @@ class TestRandomSubset:
         expected = between + (N / n) ** 2 * f * V
         # Close, not equal: what is negative by chance is made positive, which keeps the diagonal.
         np.testing.assert_allclose(np.diagonal(sums.covariance_of_entries), np.diagonal(expected), rtol=1e-6)
-        d = np.sqrt(np.diagonal(expected))
-        np.testing.assert_allclose(
-            sums.covariance_of_entries / np.outer(d, d), expected / np.outer(d, d), atol=0.05
-        )
+        assert misfit(sums.covariance_of_entries, expected) < 0.05
 
     def test_all_pixels_at_random_are_all_pixels(self):
         sim = Simulation(16, 16)
@@ -485,8 +482,8 @@ class PlaneView:
 
 
 class TestFrames:
-    # At 10 km the step of the difference quotient is 1e-9, and its rounding 1e-7.
-    @pytest.mark.parametrize(("pose", "tolerance"), [(POSE, 1e-8), (FAR, 1e-6)])
+    # At 10 km the step of the difference quotient is 1e-9, and its rounding 1e-7 of values above derivatives.
+    @pytest.mark.parametrize(("pose", "tolerance"), [(POSE, 1e-8), (FAR, 1e-5)])
     def test_the_jacobian_in_the_other_frame_is_the_derivative_there(self, pose, tolerance):
         view = PlaneView(pose)
         moved = view.jacobian("camera").to_frame("world").values
@@ -494,7 +491,7 @@ class TestFrames:
         np.testing.assert_allclose(moved, derived, atol=tolerance * np.abs(derived).max())
         assert np.abs(view.differentiate("camera") - derived).max() > 0.1 * np.abs(derived).max()
 
-    @pytest.mark.parametrize(("pose", "tolerance"), [(POSE, 1e-8), (FAR, 1e-6)])
+    @pytest.mark.parametrize(("pose", "tolerance"), [(POSE, 1e-8), (FAR, 1e-5)])
     def test_transported_information_is_the_information_of_the_other_jacobian(self, pose, tolerance):
         view = PlaneView(pose)
         transported = (
@@ -502,8 +499,7 @@ class TestFrames:
         )
         derived = view.differentiate("world")
         expected = _truth(derived, np.full(derived.shape[:2], 100.0))
-        d = np.sqrt(np.diagonal(expected))
-        np.testing.assert_allclose(transported / np.outer(d, d), expected / np.outer(d, d), atol=tolerance)
+        assert misfit(transported, expected) < tolerance
 
     @pytest.mark.parametrize("pose", [POSE, FAR])
     def test_the_quadratic_form_is_invariant(self, pose):
@@ -530,7 +526,7 @@ class TestFrames:
         a = fisher_information(jacobian, noise.Gaussian(0.1)).to_frame("world")
         b = fisher_information(jacobian.to_frame("world"), noise.Gaussian(0.1))
         assert b.frame == "world"
-        np.testing.assert_allclose(a.matrix, b.matrix, rtol=1e-9)
+        assert misfit(a.matrix, b.matrix) < 1e-9
         np.testing.assert_allclose(a.standard_error, b.standard_error, rtol=1e-7)
 
     def test_the_way_back_from_far_away_loses_nothing(self):
@@ -549,8 +545,8 @@ class TestFrames:
         information = _made(samples.mean(axis=0), np.cov(pack(samples).T))
         A = rng.normal(size=(6, 6))
         moved = information.transform(A, variable="body", frame="world", pose=FAR)
-        np.testing.assert_allclose(moved.matrix, (A.T @ samples @ A).mean(axis=0), rtol=1e-10)
-        np.testing.assert_allclose(moved.covariance_of_entries, np.cov(pack(A.T @ samples @ A).T), rtol=1e-9)
+        assert misfit(moved.matrix, (A.T @ samples @ A).mean(axis=0)) < 1e-10
+        assert misfit(moved.covariance_of_entries, np.cov(pack(A.T @ samples @ A).T)) < 1e-9
         np.testing.assert_allclose(moved.standard_error[2, 4], np.std((A.T @ samples @ A)[:, 2, 4], ddof=1))
         assert (moved.variable, moved.frame) == ("body", "world")
         np.testing.assert_array_equal(moved.pose, FAR)
@@ -584,7 +580,7 @@ class TestAddition:
             for part in (slice(0, 512), slice(512, 1024))
         ]
         whole = _information(values, sim.weights, sim.pixels)
-        np.testing.assert_allclose((halves[0] + halves[1]).matrix, whole.matrix, rtol=1e-12)
+        assert misfit((halves[0] + halves[1]).matrix, whole.matrix) < 1e-12
 
     def test_far_world_frames_add_as_precisely_as_camera_frames(self):
         a, b = (_made(M, pose=FAR) for M in (np.diag([1.0, 2, 3, 4, 5, 6]), np.eye(6)))
@@ -723,8 +719,7 @@ class TestFisherInformation:
         residuals = 0.3 * np.random.default_rng(15).standard_normal((20000, len(J)), dtype=np.float32)
         score = residuals @ (J / 0.09).astype(np.float32)
         sample = np.cov(score.T.astype(np.float64))
-        d = np.sqrt(np.diagonal(F))
-        np.testing.assert_allclose(sample / np.outer(d, d), F / np.outer(d, d), atol=0.04)
+        assert misfit(sample, F) < 0.04
 
     def test_a_number_is_no_noise_model(self):
         with pytest.raises(NoiseError, match=r"noise.Gaussian\(0.01\)"):

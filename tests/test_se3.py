@@ -115,7 +115,7 @@ class TestAsPose:
     def test_rounding_of_float32_and_text_is_removed(self):
         for rounded in (POSE.astype(np.float32), np.round(POSE, 5)):
             rotation = se3.as_pose(rounded)[:3, :3]
-            np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-15)
+            np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-14)
             np.testing.assert_allclose(rotation, POSE[:3, :3], atol=1e-5)
             assert np.abs(np.asarray(rounded[:3, :3] @ rounded[:3, :3].T, float) - np.eye(3)).max() > 1e-9
 
