@@ -147,6 +147,7 @@ NEGATIVE = np.array([[0.0, 0.6, 0.0], [0.6, 1.0, 0.6], [0.0, 0.6, 0.0]])
         (lambda: noise.Periodic(SPECTRUM).check(SIDE, SIDE + 1, 3), "but the image is 24 rows x 25"),
         (lambda: noise.SparsePrecision(np.eye(4), (2, 2)), "sparse matrix"),
         (lambda: noise.SparsePrecision(sparse.eye_array(5), (2, 2)), "but the image is 2 rows"),
+        (lambda: noise.SparsePrecision(sparse.eye_array(4), (1, 0)), "but the image is 1 rows x 0 columns"),
         (
             lambda: noise.SparsePrecision(sparse.eye_array(4), (2, 2)).check(2, 3, 3),
             "but the image is 2 rows",

@@ -36,7 +36,8 @@ class SparsePrecision(CoupledNoise):
             raise NoiseError(f"SparsePrecision expects a SciPy sparse matrix, not {type(precision).__name__}")
         Q = sparse.csc_array(precision, dtype=np.float64)
         height, width = (int(side) for side in shape)
-        if Q.shape[0] != Q.shape[1] or Q.shape[0] == 0 or Q.shape[0] % max(height * width, 1):
+        count = max(height, 0) * max(width, 0)
+        if Q.shape[0] != Q.shape[1] or Q.shape[0] == 0 or count == 0 or Q.shape[0] % count:
             raise NoiseError(
                 f"the precision has shape {Q.shape}, but the image is {height} rows x {width} columns"
             )
