@@ -125,7 +125,7 @@ GOOD: dict[str, bytes] = {
         {
             "schema": trials.SCHEMA,
             "settings": {},
-            "results": [dataclasses.asdict(trials.Trial(0, "converged", (0.0,) * 6, 1.0, 3, 0.0))],
+            "results": [dataclasses.asdict(trials.Trial(0, "converged", (0.0,) * 6, 1.0, 3, 0.0, 0))],
         }
     ).encode(),
     "map.toml": b'[noise]\nmodel = "per_pixel"\nvariance = "map.npy"\n',
