@@ -209,7 +209,7 @@ def check_target(path: Path, option: str, inputs: Sequence[Path] = (), *, resume
             raise OutputError(
                 f"{option} {path}: this would overwrite an input of this run; name another file"
             )
-    if not resumes and path.exists() and _holds_trials(path):
+    if not resumes and os.path.isfile(path) and _holds_trials(path):
         raise OutputError(f"{option} {path}: this holds trials that would be lost; name another file")
     # asking by writing: permission bits say nothing about root, read-only mounts and quotas
     probe = beside(target)
