@@ -30,12 +30,12 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from mitsuba_crb import se3
-from mitsuba_crb.align import Alignment, Anchor, align
 from mitsuba_crb.errors import OutOfViewError
-from mitsuba_crb.measure import measurement
+from mitsuba_crb.estimate.align import Alignment, Anchor, align
+from mitsuba_crb.measure.measurement import measurement
 from mitsuba_crb.noise import Gaussian
 from mitsuba_crb.processes import each
-from mitsuba_crb.scene import load_scene
+from mitsuba_crb.render.scene import load_scene
 
 ROOT = Path(__file__).parents[1]
 SCENE = ROOT / "scenes" / "textured_room" / "textured_room.xml"
@@ -82,7 +82,7 @@ def room() -> object:
 @functools.cache
 def truth(size: tuple[int, int]) -> tuple[Anchor, float]:
     """The expected image at the scene's own pose, and the depth."""
-    from mitsuba_crb.jacobian.pixels import render_pixels
+    from mitsuba_crb.render.pixels import render_pixels
 
     with measurement(room(), size=size) as run:
         pixels = np.argwhere(run.mask)[:, ::-1]

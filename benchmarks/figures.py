@@ -21,10 +21,10 @@ import numpy as np
 
 from mitsuba_crb import cramer_rao_bound, fisher_information, pose_jacobian
 from mitsuba_crb.errors import BlindSpotWarning
-from mitsuba_crb.export import pictures_of
+from mitsuba_crb.export.documents import pictures_of
 from mitsuba_crb.noise import Gaussian
-from mitsuba_crb.page import bound_figure
-from mitsuba_crb.plot import column_limit, draw_column, draw_render
+from mitsuba_crb.show.bound_page import bound_figure
+from mitsuba_crb.show.plot import column_limit, draw_column, draw_render
 
 ROOT = Path(__file__).parents[1]
 FOLDER = Path(__file__).parent / "figures"

@@ -29,11 +29,11 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from mitsuba_crb import PoseBound, pose_bound, pose_jacobian
-from mitsuba_crb.consistency import Consistency, consistency
+from mitsuba_crb.bound.consistency import Consistency, consistency
 from mitsuba_crb.errors import BlindSpotWarning, PrecisionWarning
+from mitsuba_crb.estimate.trials import Validation, validate
 from mitsuba_crb.noise import Gaussian
-from mitsuba_crb.plot import draw_render
-from mitsuba_crb.trials import Validation, validate
+from mitsuba_crb.show.plot import draw_render
 
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "benchmarks" / "paper")]

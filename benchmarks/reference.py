@@ -28,9 +28,9 @@ from rich.table import Table
 
 from mitsuba_crb.errors import PrecisionWarning
 from mitsuba_crb.files import atomic
-from mitsuba_crb.information import FisherInformation, fisher_information
+from mitsuba_crb.information.fisher import FisherInformation, fisher_information
 from mitsuba_crb.jacobian import finite_difference
-from mitsuba_crb.measure import measurement, versions
+from mitsuba_crb.measure.measurement import measurement, versions
 from mitsuba_crb.noise import Gaussian
 
 TESTS = Path(__file__).parents[1] / "tests"
@@ -39,7 +39,7 @@ sys.path.insert(0, str(TESTS))
 from flow_scenes import OTHERS, ROWS, digest  # noqa: E402
 from test_flow_table import compared  # noqa: E402
 
-FOLDER = TESTS / "references"
+FOLDER = TESTS / "jacobian" / "references"
 SIGMA = 0.01
 BATCHES = 16
 

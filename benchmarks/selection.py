@@ -20,10 +20,10 @@ import time
 
 import numpy as np
 
-from mitsuba_crb.criteria import LogDet
-from mitsuba_crb.greedy import greedy
-from mitsuba_crb.relaxation import upper_bound
-from mitsuba_crb.tiles import Limits, Problem
+from mitsuba_crb.agents.greedy import greedy
+from mitsuba_crb.agents.relaxation import upper_bound
+from mitsuba_crb.agents.tiles import Limits, Problem
+from mitsuba_crb.bound.criteria import LogDet
 
 TILES = 256
 SAMPLED_ROUNDS = 5

@@ -9,67 +9,67 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from . import pip_llvm
+from .render import pip_llvm
 
 if TYPE_CHECKING:
     from . import errors as errors
-    from . import message as message
     from . import noise as noise
     from . import se3 as se3
-    from .bayesian import van_trees as van_trees
-    from .bound import PoseBound as PoseBound
-    from .bound import cramer_rao_bound as cramer_rao_bound
-    from .coordinates import to_coordinates as to_coordinates
-    from .fusion import Agent as Agent
-    from .fusion import fuse as fuse
-    from .information import FisherInformation as FisherInformation
-    from .information import ImageJacobian as ImageJacobian
-    from .information import fisher_information as fisher_information
-    from .information_filter import InformationFilter as InformationFilter
-    from .joint import JointInformation as JointInformation
-    from .joint import joint_information as joint_information
-    from .measure import pose_bound as pose_bound
-    from .measure import pose_jacobian as pose_jacobian
-    from .measure_displaced import hcr_bound as hcr_bound
-    from .measure_tiles import tile_information as tile_information
-    from .prior import PosePrior as PosePrior
-    from .prior import load_prior as load_prior
-    from .scene import load_scene as load_scene
-    from .selection import select_tiles as select_tiles
-    from .tiles import Budget as Budget
-    from .trials import validate as validate
-    from .validation import check_jacobian as check_jacobian
+    from .agents import message as message
+    from .agents.fusion import Agent as Agent
+    from .agents.fusion import fuse as fuse
+    from .agents.information_filter import InformationFilter as InformationFilter
+    from .agents.selection import select_tiles as select_tiles
+    from .agents.tiles import Budget as Budget
+    from .bound.coordinates import to_coordinates as to_coordinates
+    from .bound.cramer_rao import PoseBound as PoseBound
+    from .bound.cramer_rao import cramer_rao_bound as cramer_rao_bound
+    from .bound.prior import PosePrior as PosePrior
+    from .bound.prior import load_prior as load_prior
+    from .estimate.trials import validate as validate
+    from .information.fisher import FisherInformation as FisherInformation
+    from .information.fisher import ImageJacobian as ImageJacobian
+    from .information.fisher import fisher_information as fisher_information
+    from .information.joint import JointInformation as JointInformation
+    from .information.joint import joint_information as joint_information
+    from .measure.bayesian import van_trees as van_trees
+    from .measure.check import check_jacobian as check_jacobian
+    from .measure.displaced import hcr_bound as hcr_bound
+    from .measure.measurement import pose_bound as pose_bound
+    from .measure.measurement import pose_jacobian as pose_jacobian
+    from .measure.tiles import tile_information as tile_information
+    from .render.scene import load_scene as load_scene
 
 pip_llvm.name_to_drjit()
 
 __version__ = "0.1.0"
 
 _HOME = {
-    "van_trees": "bayesian",
-    "PoseBound": "bound",
-    "cramer_rao_bound": "bound",
-    "Agent": "fusion",
-    "fuse": "fusion",
-    "to_coordinates": "coordinates",
-    "FisherInformation": "information",
-    "ImageJacobian": "information",
-    "fisher_information": "information",
-    "JointInformation": "joint",
-    "joint_information": "joint",
-    "hcr_bound": "measure_displaced",
-    "pose_bound": "measure",
-    "pose_jacobian": "measure",
-    "InformationFilter": "information_filter",
-    "tile_information": "measure_tiles",
-    "PosePrior": "prior",
-    "load_prior": "prior",
-    "load_scene": "scene",
-    "select_tiles": "selection",
-    "Budget": "tiles",
-    "validate": "trials",
-    "check_jacobian": "validation",
+    "van_trees": "measure.bayesian",
+    "PoseBound": "bound.cramer_rao",
+    "cramer_rao_bound": "bound.cramer_rao",
+    "Agent": "agents.fusion",
+    "fuse": "agents.fusion",
+    "to_coordinates": "bound.coordinates",
+    "FisherInformation": "information.fisher",
+    "ImageJacobian": "information.fisher",
+    "fisher_information": "information.fisher",
+    "JointInformation": "information.joint",
+    "joint_information": "information.joint",
+    "hcr_bound": "measure.displaced",
+    "pose_bound": "measure.measurement",
+    "pose_jacobian": "measure.measurement",
+    "InformationFilter": "agents.information_filter",
+    "tile_information": "measure.tiles",
+    "PosePrior": "bound.prior",
+    "load_prior": "bound.prior",
+    "load_scene": "render.scene",
+    "select_tiles": "agents.selection",
+    "Budget": "agents.tiles",
+    "validate": "estimate.trials",
+    "check_jacobian": "measure.check",
 }
-_MODULES = ("errors", "message", "noise", "se3")
+_MODULES = {"errors": "errors", "message": "agents.message", "noise": "noise", "se3": "se3"}
 
 __all__ = [*_HOME, *_MODULES, "__version__"]
 
@@ -78,7 +78,7 @@ def __getattr__(name: str) -> Any:
     if name in _HOME:
         return getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
     if name in _MODULES:
-        return importlib.import_module(f".{name}", __name__)
+        return importlib.import_module(f".{_MODULES[name]}", __name__)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

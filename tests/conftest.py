@@ -12,7 +12,7 @@ from pathlib import Path
 import openblas
 import pytest
 
-from mitsuba_crb import llvm
+from mitsuba_crb.render import llvm
 
 # Test modules import mitsuba at their top, which loads whatever LLVM it finds.
 llvm.configure()

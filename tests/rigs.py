@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mitsuba_crb import se3
-from mitsuba_crb.information import FisherInformation, PixelSelection
+from mitsuba_crb.information.fisher import FisherInformation, PixelSelection
 
 SELECTION = PixelSelection("all", 100, 100, "all")
 

@@ -11,12 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from mitsuba_crb import llvm, se3
+from mitsuba_crb import se3
+from mitsuba_crb.render import llvm
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 SNIPPETS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-READY = "from mitsuba_crb.scene import use_mitsuba\nuse_mitsuba()\n"
+READY = "from mitsuba_crb.render.scene import use_mitsuba\nuse_mitsuba()\n"
 
 
 def test_the_conventions_are_those_of_the_code() -> None:

@@ -9,7 +9,7 @@ import OpenEXR
 import pytest
 from PIL import Image
 
-from mitsuba_crb.scene import load_scene
+from mitsuba_crb.render.scene import load_scene
 
 SCENES = Path(__file__).parents[1] / "scenes"
 NAMES = sorted(path.stem for path in SCENES.glob("*/*.xml") if path.stem == path.parent.name)

@@ -2,7 +2,7 @@
 
     python benchmarks/paper/calibration.py     # half an hour on 2 cores; writes CSV and PNG beside it
 
-Trials of Gauss–Newton (`mitsuba_crb.trials`) at 32 x 24 pixels, starts within 0.2 degrees and 1 cm, in
+Trials of Gauss–Newton (`mitsuba_crb.estimate.trials`) at 32 x 24 pixels, starts within 0.2 degrees and 1 cm, in
 `textured_room` (high texture) and `plain_room` (low texture). Both show direct light only, here by four
 samples of the window per path. Trials are kept in `trials/` as they end; the same command resumes there.
 `calibration.csv` has what is judged, with bands, beside the bound of the noise and, as a negative control, of
@@ -33,9 +33,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from mitsuba_crb.consistency import Consistency, consistency
-from mitsuba_crb.trials import Validation, validate
-from mitsuba_crb.trials_page import draw_calibration
+from mitsuba_crb.bound.consistency import Consistency, consistency
+from mitsuba_crb.estimate.trials import Validation, validate
+from mitsuba_crb.show.trials_page import draw_calibration
 
 HERE = Path(__file__).parent
 SCENES = {"high texture": "textured_room", "low texture": "plain_room"}

@@ -28,10 +28,10 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from mitsuba_crb.selection import select_tiles
-from mitsuba_crb.team import load_team
-from mitsuba_crb.team_measure import select_team
-from mitsuba_crb.tiles import Budget, TileInformation
+from mitsuba_crb.agents.selection import select_tiles
+from mitsuba_crb.agents.team import load_team
+from mitsuba_crb.agents.tiles import Budget, TileInformation
+from mitsuba_crb.measure.teams import select_team
 
 HERE = Path(__file__).parent
 TEAMS = {

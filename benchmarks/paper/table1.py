@@ -35,8 +35,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from mitsuba_crb import PoseBound, cramer_rao_bound, pose_bound
+from mitsuba_crb.estimate.tracks import feature_tracks
 from mitsuba_crb.noise import Gaussian
-from mitsuba_crb.tracks import feature_tracks
 
 HERE = Path(__file__).parent
 SIGMA = Gaussian(0.01)

@@ -5,6 +5,6 @@ for its pixels, tile by tile. They import Dr.Jit, which loads whatever LLVM it f
 chosen here, before any of them is imported.
 """
 
-from .. import llvm
+from ..render import llvm
 
 llvm.configure()

@@ -28,16 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from ..information import BLOCK
-from .pixels import (
-    download,
-    known_integrator,
-    lane_sampler,
-    radiance,
-    seeding,
-    upload,
-    widened,
-)
+from ..information.fisher import BLOCK
+from ..render.pixels import download, known_integrator, lane_sampler, radiance, seeding, upload, widened
 from .silhouettes import Contours, Sides, find_contours, look
 
 if TYPE_CHECKING:
@@ -45,7 +37,7 @@ if TYPE_CHECKING:
 
     import mitsuba as mi
 
-    from ..scene import View
+    from ..render.scene import View
     from .curves import Placed
 
 __all__ = ["Contours", "find_contours", "parallax_steps"]

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
-from .pixels import render_pixels
+from ..render.pixels import render_pixels
 
 if TYPE_CHECKING:
-    from ..scene import View
+    from ..render.scene import View
 
 STEP_PIXELS = 0.15
 """Image motion of one step [pixel]."""

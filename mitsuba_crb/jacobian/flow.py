@@ -32,14 +32,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SensorError
-from ..information import BLOCK
-from ..subset import selected
-from . import finite_difference
-from .contours import Contours, find_contours, parallax_steps
-from .film import FilmFlow, FilmMap
-from .pairs import BoxPairs, PairSample, SmoothPairs, filter_pairs
-from .paths import IntegratorTracer, PathTracer, tracer
-from .pixels import (
+from ..information.fisher import BLOCK
+from ..information.subset import selected
+from ..render.film import FilmFlow, FilmMap
+from ..render.paths import IntegratorTracer, PathTracer, tracer
+from ..render.pixels import (
     EVEN,
     PILOT,
     EvenNumbers,
@@ -54,8 +51,11 @@ from .pixels import (
     start_pixels,
     upload,
 )
-from .recorded import join, split
-from .sobol import sobol_point
+from ..render.recorded import join, split
+from ..render.sobol import sobol_point
+from . import finite_difference
+from .contours import Contours, find_contours, parallax_steps
+from .pairs import BoxPairs, PairSample, SmoothPairs, filter_pairs
 from .view_term import ViewTerm
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ if TYPE_CHECKING:
 
     import mitsuba as mi
 
-    from ..scene import View
+    from ..render.scene import View
 
 _DIMENSIONS = (4, 4)
 """What `EvenNumbers` are for: film offset and emitter, whose products are what edges of shadows show; and

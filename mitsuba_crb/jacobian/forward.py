@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import IntegratorError
-from .pixels import Lanes, camera_ray, lane_sampler, move_ray, radiance, seeding
+from ..render.pixels import Lanes, camera_ray, lane_sampler, move_ray, radiance, seeding
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
-    from ..scene import View
+    from ..render.scene import View
 
 
 MAX_LANES = 1 << 18

@@ -21,7 +21,7 @@ import drjit as dr
 import numpy as np
 
 from ..errors import FilmError
-from .pixels import PixelFilter, upload
+from ..render.pixels import PixelFilter, upload
 
 if TYPE_CHECKING:
     import mitsuba as mi

@@ -19,15 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
-from .film import FilmMap
+from ..render.film import FilmMap
+from ..render.pixels import move_ray, opaque_transform, radiance, render_pixels
+from ..render.recorded import Recorder
 from .forward import MAX_LANES, camera_paths, per_batch, per_path
-from .pixels import move_ray, opaque_transform, radiance, render_pixels
-from .recorded import Recorder
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
-    from ..scene import View
+    from ..render.scene import View
 
 Floats = NDArray[np.float64]
 Pixels = NDArray[np.int64]

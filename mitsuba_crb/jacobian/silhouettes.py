@@ -20,17 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import BlindSpotWarning
-from ..information import BLOCK
+from ..information.fisher import BLOCK
+from ..render.paths import first_hit
+from ..render.pixels import camera_ray, download, move_ray, opaque_transform, upload, widened
 from .curves import EDGE, Curves, Lens, Placed, bounds, cut, place
 from .edges import EdgeTable
-from .paths import first_hit
-from .pixels import camera_ray, download, move_ray, opaque_transform, upload, widened
 from .surfaces import edge_table, first_faces, smooth_curves, without_contours
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
-    from ..scene import View
+    from ..render.scene import View
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -22,14 +22,14 @@ from typing import TYPE_CHECKING
 import drjit as dr
 import numpy as np
 
-from ..scene import contents
-from .paths import IntegratorTracer, Numbers, PathTracer, Seen
-from .pixels import upload
+from ..render.paths import IntegratorTracer, Numbers, PathTracer, Seen
+from ..render.pixels import upload
+from ..render.scene import contents
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
-    from ..scene import View
+    from ..render.scene import View
 
 STEP_PIXELS = 0.1
 """Image motion of the step δ where radiance varies with direction [pixel]."""

@@ -1,0 +1,359 @@
+"""The Cramér–Rao bound of a camera's pose: F⁻¹ where the image sees, infinity where it does not.
+
+Every unbiased estimator obeys Cov(ξ̂) ⪰ F⁻¹. The directions that the estimated information does not see are
+decided first (`identifiability`), in the camera frame with translation in units of the length scale; what
+they leave of F⁻¹ is in `inverse`. Conventions: `se3`.
+
+F̂⁻¹ is biased upwards by noise in F̂; the standard errors, by the delta method, say by how much it may matter.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from dataclasses import replace as dataclass_replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import se3
+from ..errors import NuisanceWarning, OptionError, PrecisionWarning
+from ..information.fisher import FisherInformation
+from ..information.identifiability import PoseDirection, readable_basis, weakest_direction
+from ..information.joint import JointInformation
+from ..se3 import Array, Frame
+from .criteria import LAMBDA_MIN, KieferMean, LogDet
+from .inverse import Inverse
+from .prior import PosePrior
+
+ALL_NUISANCES = "all of them"
+"""Key of `PoseBound.if_known` for the bound if every nuisance were known."""
+
+LARGEST_RELATIVE_ERROR = 0.1
+"""A standard deviation whose relative standard error exceeds this raises a `PrecisionWarning`."""
+
+LARGEST_NOISE_FLOOR = 1e-3
+"""A noise floor above this fraction of the largest eigenvalue may hide what more samples would show."""
+
+_POSITION_NAMES = ("x", "y", "z")
+_ROTATION_NAMES = ("pitch", "yaw", "roll")
+
+
+# Rows are linear functionals of the scaled camera-frame twist.
+_TURN = np.degrees(np.hstack([np.zeros((3, 3)), np.eye(3)]))
+
+
+@dataclass(frozen=True)
+class Optimality:
+    """Scalars of the information F in the camera frame, translation in units of the length scale.
+
+    The larger log det F and λ_min, and the smaller tr F⁻¹, the better; Pukelsheim, "Optimal Design of
+    Experiments", 2006, section 6.
+    """
+
+    log_det: float
+    """D-optimality, log det F; minus infinity where a direction is unseen."""
+    trace_inverse: float
+    """A-optimality, tr F⁻¹ [rad² or length scale²]; infinite where a direction is unseen."""
+    smallest_eigenvalue: float
+    """E-optimality, λ_min; zero where a direction is unseen."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseBound:
+    """Lower bounds on the errors of every unbiased estimator of a camera's pose."""
+
+    covariance: Array
+    """(6, 6) in `frame`: `inf` on the diagonal of what is unseen, `nan` off it."""
+    position_std: Array
+    """(3,), the camera centre's standard deviation along the world's axes x, y, z [scene unit]."""
+    position_std_standard_error: Array
+    """(3,), its Monte Carlo standard error [scene unit]; `nan` where the bound is infinite."""
+    rotation_std_deg: Array
+    """(3,), rotation about the camera's own axes: pitch x, yaw y, roll z [deg]."""
+    rotation_std_deg_standard_error: Array
+    """(3,), its Monte Carlo standard error [deg]; `nan` where the bound is infinite."""
+    rank: int
+    """Number of directions that are seen, by the image or the prior."""
+    unobserved: tuple[PoseDirection, ...]
+    """The other 6 − rank directions: an orthonormal basis of what is unseen, in the camera frame."""
+    eigenvalues: Array
+    """(6,), descending, of the information in the camera frame with translation in length scales."""
+    eigenvalues_standard_error: Array
+    """(6,), their standard errors."""
+    noise_floor: float
+    """λ_99: an unseen direction carries less information than this, in the eigenvalues' unit; 0 at rank 6."""
+    information: FisherInformation
+    """The information used, the prior included."""
+    frame: Frame
+    """Frame of `covariance` and `seen_covariance`, `"camera"` or `"world"`."""
+    length_scale: float
+    """Length that makes translation comparable with rotation [scene unit]."""
+    position_covariance: Array
+    """(3, 3), of the camera centre, world axes [scene unit²], with `inf` and `nan` as in `covariance`."""
+    rotation_covariance_deg2: Array
+    """(3, 3), about the camera's axes [deg²], with `inf` and `nan` as in `covariance`."""
+    seen_covariance: Array
+    """(6, 6) in `frame`: the pseudo-inverse on the seen subspace. It says nothing about what is unseen."""
+    weakest: PoseDirection | None
+    """The direction that the image itself, without the prior, sees worst but does see; None at rank 0."""
+    inverse: Inverse = field(repr=False)
+    """Gives the variance of any linear functional of the pose; `to_coordinates` uses it."""
+    provenance: dict[str, Any] = field(default_factory=dict)
+    """How the information was computed, JSON-able."""
+    joint: JointInformation | None = field(default=None, repr=False)
+    """What it came from: of the pose and of nuisance parameters, whose marginalization it can undo."""
+    if_known: Mapping[str, PoseBound] = field(default_factory=dict, repr=False)
+    """By marginalized nuisance: the bound if that one were known; of several also `ALL_NUISANCES`."""
+
+    def to_frame(self, frame: Frame) -> PoseBound:
+        """The same bound with its matrices in another frame."""
+        twist = _twist(self.inverse, frame)
+        return dataclass_replace(
+            self,
+            frame=frame,
+            information=self.inverse.total.to_frame(frame),
+            covariance=self.inverse.covariance(twist),
+            seen_covariance=self.inverse.seen_covariance(twist),
+        )
+
+    @property
+    def optimality(self) -> Optimality:
+        """The classical scalars of the information, the prior included."""
+        if self.unobserved:
+            return Optimality(-np.inf, np.inf, 0.0)
+        F = self.inverse.precision
+        return Optimality(
+            log_det=float(LogDet().value(F)),
+            trace_inverse=float(6.0 / KieferMean(1.0).value(F)),
+            smallest_eigenvalue=float(LAMBDA_MIN.value(F)),
+        )
+
+    def ellipsoid(self, which: Literal["position", "rotation"], sigma: float = 1.0) -> tuple[Array, Array]:
+        """The uncertainty ellipsoid of position [scene unit, world axes] or rotation [deg, camera axes].
+
+        Args:
+            which: `"position"` or `"rotation"`.
+            sigma: semi-axes in standard deviations.
+
+        Returns:
+            Semi-axes (3,), descending, infinite where unseen, and their directions (3, 3) in columns.
+
+        Raises:
+            OptionError: `which` is neither.
+        """
+        if which not in ("position", "rotation"):
+            raise OptionError(f"there is no ellipsoid {which!r}; expected 'position' or 'rotation'")
+        functionals = _position(self.inverse) if which == "position" else _TURN
+        semi_axes, directions = self.inverse.ellipsoid(functionals)
+        return sigma * semi_axes, directions
+
+    def to_dict(self) -> dict[str, Any]:
+        """The bound as JSON-able values: infinities as the string "inf", not-a-number as None."""
+        return {
+            "frame": self.frame,
+            "twist_order": list(se3.TWIST_ORDER),
+            "units": {
+                "twist": ["scene unit"] * 3 + ["rad"] * 3,
+                "position_std": "scene unit",
+                "rotation_std_deg": "deg",
+                "eigenvalues": "camera frame, translation in units of length_scale",
+                "unobserved.direction": "camera frame, translation in units of length_scale",
+            },
+            "length_scale": self.length_scale,
+            "information": jsonable(self.information.matrix),
+            "information_standard_error": jsonable(self.information.standard_error),
+            "covariance": jsonable(self.covariance),
+            "position_std": jsonable(self.position_std),
+            "position_std_standard_error": jsonable(self.position_std_standard_error),
+            "rotation_std_deg": jsonable(self.rotation_std_deg),
+            "rotation_std_deg_standard_error": jsonable(self.rotation_std_deg_standard_error),
+            "eigenvalues": jsonable(self.eigenvalues),
+            "eigenvalues_standard_error": jsonable(self.eigenvalues_standard_error),
+            "noise_floor": self.noise_floor,
+            "rank": self.rank,
+            "unobserved": [
+                {"direction": jsonable(u.direction), "description": u.description} for u in self.unobserved
+            ],
+            "weakest": self.weakest
+            and {
+                "direction": jsonable(self.weakest.direction),
+                "description": self.weakest.description,
+            },
+            "nuisances": {
+                "how": self.provenance.get("nuisances", {}),
+                "joint": self.joint.to_dict() if self.joint is not None and self.joint.names else None,
+                "if_known": {
+                    name: {
+                        "position_std": jsonable(known.position_std),
+                        "rotation_std_deg": jsonable(known.rotation_std_deg),
+                    }
+                    for name, known in self.if_known.items()
+                },
+            },
+            "optimality": {k: jsonable(v) for k, v in vars(self.optimality).items()},
+        }
+
+    def __str__(self) -> str:
+        position = _with_errors(_POSITION_NAMES, self.position_std, self.position_std_standard_error)
+        rotation = _with_errors(_ROTATION_NAMES, self.rotation_std_deg, self.rotation_std_deg_standard_error)
+        unseen = "; ".join(u.description for u in self.unobserved) or "nothing"
+        eigenvalues = ", ".join(f"{value:.3g}" for value in self.eigenvalues)
+        return "\n".join(
+            (
+                f"position std  {position} [scene unit], world axes",
+                f"rotation std  {rotation} [deg], camera axes",
+                f"rank          {self.rank} of 6",
+                f"unseen        {unseen}",
+                f"eigenvalues   {eigenvalues} (camera frame, translation in length scales)",
+                f"length scale  {self.length_scale:.4g} [scene unit]; matrices in the {self.frame} frame",
+            )
+        )
+
+
+def cramer_rao_bound(
+    information: FisherInformation, *, prior: FisherInformation | PosePrior | ArrayLike | None = None
+) -> PoseBound:
+    """The Cramér–Rao bound F⁻¹ of a pose, or (F + P)⁻¹ with a prior.
+
+    What the image sees is decided without the prior, which is then added as it is: it can lower standard
+    deviations and raise the rank, never the other way round.
+
+    Args:
+        information: of the pose, in any frame; the bound's matrices come in the same one.
+        prior: information known beforehand, exact. A `PosePrior` in a frame of its own, a 6 x 6 matrix in
+            `information`'s frame, or an information of the same variable, frame and pose, of which the part
+            that it sees itself counts.
+
+    Raises:
+        FrameError: the prior belongs to another variable, frame or pose.
+        OptionError: the prior is no symmetric positive semi-definite 6 x 6 matrix.
+
+    Warns:
+        PrecisionWarning: a standard deviation is uncertain by more than 10 %, or noise hides so much that
+            unseen directions may only be unresolved.
+
+    References:
+        van Trees, "Detection, Estimation, and Modulation Theory", part I, 1968, sections 2.4.2 and 2.4.3.
+    """
+    inverse = Inverse(information, prior)
+    position, turn, twist = _position(inverse), _TURN, _twist(inverse, information.frame)
+    position_covariance, rotation_covariance = inverse.covariance(position), inverse.covariance(turn)
+    with np.errstate(invalid="ignore"):
+        position_std = np.sqrt(np.diagonal(position_covariance))
+        rotation_std = np.sqrt(np.diagonal(rotation_covariance))
+    eigenvalues, eigenvalue_errors = inverse.eigenvalues()
+    bound = PoseBound(
+        covariance=inverse.covariance(twist),
+        position_std=position_std,
+        position_std_standard_error=inverse.standard_error(position, position_std),
+        rotation_std_deg=rotation_std,
+        rotation_std_deg_standard_error=inverse.standard_error(turn, rotation_std),
+        rank=6 - inverse.open.shape[1],
+        unobserved=readable_basis(
+            inverse.identifiability, inverse.open, inverse.total.pose, inverse.length_scale
+        ),
+        eigenvalues=eigenvalues,
+        eigenvalues_standard_error=eigenvalue_errors,
+        noise_floor=inverse.identifiability.threshold,
+        information=inverse.total.to_frame(information.frame),
+        frame=information.frame,
+        length_scale=inverse.length_scale,
+        position_covariance=position_covariance,
+        rotation_covariance_deg2=rotation_covariance,
+        seen_covariance=inverse.seen_covariance(twist),
+        weakest=weakest_direction(inverse.identifiability, inverse.total.pose, inverse.length_scale),
+        inverse=inverse,
+    )
+    _warn_of_imprecision(bound)
+    return bound
+
+
+def joint_bound(
+    joint: JointInformation, *, prior: FisherInformation | PosePrior | ArrayLike | None = None
+) -> PoseBound:
+    """The Cramér–Rao bound of a pose among nuisance parameters, in the camera frame, and what each costs.
+
+    Args:
+        joint: with every nuisance marginalized or fixed.
+        prior: of the pose, see `cramer_rao_bound`.
+
+    Raises:
+        NuisanceError: nothing was decided of some nuisance.
+
+    Warns:
+        NuisanceWarning: the image does not see a marginalized nuisance.
+        PrecisionWarning: see `cramer_rao_bound`.
+    """
+    bound = cramer_rao_bound(joint.information, prior=prior)
+    unknown = [name for name in joint.names if joint.treatment[name] == "marginalized"]
+    unseen = [name for name in joint.unseen if name in unknown]
+    if unseen:
+        warnings.warn(
+            f"the image does not see {', '.join(unseen)}, so that not knowing it costs nothing",
+            NuisanceWarning,
+            stacklevel=2,
+        )
+    known = {name: joint.fix(name) for name in unknown}
+    if len(unknown) > 1:
+        known[ALL_NUISANCES] = joint.fix(*unknown)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PrecisionWarning)
+        if_known = {name: cramer_rao_bound(each.information, prior=prior) for name, each in known.items()}
+    return dataclass_replace(bound, joint=joint, if_known=if_known)
+
+
+def _twist(inverse: Inverse, frame: Frame) -> Array:
+    """(6, 6), the unscaled twist in a frame."""
+    twist = np.diag(inverse.scale)
+    return twist if frame == "camera" else se3.adjoint(inverse.total.pose) @ twist
+
+
+def _position(inverse: Inverse) -> Array:
+    """(3, 6), world axes: the camera centre moves by R ρ."""
+    return np.hstack([inverse.length_scale * inverse.total.pose[:3, :3], np.zeros((3, 3))])
+
+
+def _warn_of_imprecision(bound: PoseBound) -> None:
+    errors = np.concatenate([bound.position_std_standard_error, bound.rotation_std_deg_standard_error])
+    relative = np.nan_to_num(errors / np.concatenate([bound.position_std, bound.rotation_std_deg]))
+    worst = int(np.argmax(relative))
+    if relative[worst] > LARGEST_RELATIVE_ERROR:
+        name = (*(f"position {axis}" for axis in _POSITION_NAMES), *_ROTATION_NAMES)[worst]
+        factor = math.ceil((relative[worst] / LARGEST_RELATIVE_ERROR) ** 2)
+        warnings.warn(
+            f"the bound on {name} is uncertain by {relative[worst]:.0%} and may be too large; "
+            f"about {factor} times the samples would bring that to {LARGEST_RELATIVE_ERROR:.0%}",
+            PrecisionWarning,
+            stacklevel=3,
+        )
+    floor = bound.noise_floor / max(float(bound.eigenvalues[0]), np.finfo(float).tiny)
+    if bound.unobserved and LARGEST_NOISE_FLOOR < floor < np.inf and bound.rank > 0:
+        warnings.warn(
+            f"unseen means less than {floor:.1%} of the best-seen direction's information, which is all that "
+            "so few samples tell; what is weaker than that needs more of them",
+            PrecisionWarning,
+            stacklevel=3,
+        )
+
+
+def _with_errors(names: tuple[str, ...], values: Array, errors: Array) -> str:
+    parts = (
+        f"{name} {value:.3g} ± {error:.1g}" if np.isfinite(value) else f"{name} inf"
+        for name, value, error in zip(names, values, errors, strict=True)
+    )
+    return ", ".join(parts)
+
+
+def jsonable(array: ArrayLike) -> Any:
+    """Nested lists: infinities as the string "inf", not-a-number as None."""
+    array = np.asarray(array)
+    if array.ndim == 0:
+        value = float(array)
+        if math.isnan(value):
+            return None
+        return value if math.isfinite(value) else ("inf" if value > 0.0 else "-inf")
+    return [jsonable(entry) for entry in array]

@@ -1,0 +1,205 @@
+"""F⁻¹ for an information that does not see everything, with or without a prior.
+
+With the eigenvectors of F̂ split into seen ones U and unseen ones N (`identifiability`) and a prior P,
+
+    F_seen = U Λ Uᵀ,    M = (F_seen + P + λ_99 N Nᵀ)⁻¹,    var(aᵀξ) = aᵀ M a,
+
+for a functional a whose share of N is insignificant: a small share (a slightly tilted null direction) adds
+share² / λ_99, and for no share M is the inverse of the seen block. With a significant share the variance is
+infinite, unless the prior sees all of that share: then N in M is replaced by what the prior leaves of it.
+So what the image sees is decided without the prior, which can only help: var(aᵀξ) never exceeds its value
+without the prior, nor the prior's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace as dataclass_replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .. import se3
+from ..errors import OptionError
+from ..information.fisher import FisherInformation
+from ..information.identifiability import FLOAT32_FLOOR, Identifiability, identify
+from ..information.symmetric import congruence, pack
+from ..se3 import Array
+from .prior import PosePrior
+
+# Off-diagonal entries of a symmetric matrix occur twice in a trace but once in `pack`.
+_MULTIPLICITY = pack(2.0 - np.eye(6))
+
+# Smallest eigenvalue of a correlation matrix that leaves three digits of its inverse.
+_SMALLEST_CORRELATION = 1e-13
+
+
+class Inverse:
+    """Variances of linear functionals of the pose, in the camera frame with scaled translation.
+
+    hidden: N, what the information does not see; open: the part of it that the prior does not see either.
+    """
+
+    def __init__(
+        self, information: FisherInformation, prior: FisherInformation | PosePrior | ArrayLike | None
+    ) -> None:
+        camera = information.to_frame("camera")
+        self.length_scale = camera.length_scale
+        self.scale = camera.scale
+        S = np.diag(self.scale)
+        self.identifiability = identify(
+            S @ camera.matrix @ S, _scaled(camera.covariance_of_entries, self.scale)
+        )
+        U, N = self.identifiability.seen, self.identifiability.unseen
+        F = (U * self.identifiability.eigenvalues[: U.shape[1]]) @ U.T
+        self.total, self.open = camera, N
+        if prior is not None:
+            self.total, P = _with_prior(information, camera, prior)
+            self.open = _unseen_by_prior(self.identifiability, P)
+            F = F + P
+        # Without any information nor noise there is no threshold; then every functional is hidden, and only
+        # the scale of what the prior leaves open needs a floor.
+        floor = self.identifiability.threshold or FLOAT32_FLOOR * float(np.trace(F)) or 1.0
+        self.precision = F
+        self.tilted = _inverse_root(F + floor * N @ N.T)
+        self.informed = self.tilted if self.open is N else _inverse_root(F + floor * self.open @ self.open.T)
+        self.covariance_of_entries = _scaled(self.total.covariance_of_entries, self.scale)
+
+    def kinds(self, functionals: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which functionals (m, 6) the information does not see, and which the prior does not see either."""
+        hidden = self.identifiability.has_share(functionals)
+        return hidden, hidden & self.identifiability.has_share(functionals, self.open)
+
+    def covariance(self, functionals: Array) -> Array:
+        """(m, m), with inf on the diagonal and nan off it for what is unseen."""
+        hidden, unseen = self.kinds(functionals)
+        tilted, informed = functionals @ self.tilted, functionals @ self.informed
+        covariance = tilted @ tilted.T
+        informed = informed @ informed.T
+        # M of the tilted null directions plus a positive semi-definite block: the whole stays a covariance.
+        covariance[np.ix_(hidden, hidden)] = informed[np.ix_(hidden, hidden)]
+        covariance = 0.5 * (covariance + covariance.T)
+        covariance[unseen] = covariance[:, unseen] = np.nan
+        covariance[unseen, unseen] = np.inf
+        return covariance
+
+    def standard_error(self, functionals: Array, std: Array) -> Array:
+        """(m,), of standard deviations: δ(σ²) = −bᵀ δF b with b = U Uᵀ M a."""
+        hidden, _ = self.kinds(functionals)
+        U = self.identifiability.seen
+        tilted, informed = (functionals @ root @ (root.T @ U) @ U.T for root in (self.tilted, self.informed))
+        b = np.where(hidden[:, None], informed, tilted)
+        variance_error = _quadratic_error(b, self.covariance_of_entries)
+        with np.errstate(invalid="ignore"):
+            return np.where(np.isfinite(std), variance_error / (2.0 * std), np.nan)
+
+    def seen_covariance(self, functionals: Array) -> Array:
+        """(m, m), of the inverse restricted to everything that is seen."""
+        U = np.linalg.svd(self.open, full_matrices=True)[0][:, self.open.shape[1] :]
+        root = functionals @ U @ _inverse_root(U.T @ self.precision @ U)
+        return np.asarray(root @ root.T, dtype=np.float64)
+
+    def eigenvalues(self) -> tuple[Array, Array]:
+        """(6,) and (6,), of the whole information, descending, with first-order standard errors."""
+        S = np.diag(self.scale)
+        values, vectors = np.linalg.eigh(S @ self.total.matrix @ S)
+        return values[::-1].copy(), _quadratic_error(vectors.T[::-1], self.covariance_of_entries)
+
+    def ellipsoid(self, functionals: Array) -> tuple[Array, Array]:
+        """Semi-axes (3,), descending, and directions (3, 3) in columns, of three functionals."""
+        # Directions sorted by their share of what is unseen, so that whole axes are infinite or finite.
+        directions = np.linalg.svd(functionals @ self.open, full_matrices=True)[0]
+        _, unseen = self.kinds(directions.T @ functionals)
+        finite = directions[:, ~unseen]
+        variances, axes = np.linalg.eigh(self.covariance(finite.T @ functionals))
+        semi_axes = np.concatenate([np.full(unseen.sum(), np.inf), np.sqrt(np.maximum(variances[::-1], 0.0))])
+        return semi_axes, np.hstack([directions[:, unseen], finite @ axes[:, ::-1]])
+
+
+def _with_prior(
+    information: FisherInformation,
+    camera: FisherInformation,
+    prior: FisherInformation | PosePrior | ArrayLike,
+) -> tuple[FisherInformation, Array]:
+    """The sum in the camera frame, and the prior's own scaled positive semi-definite matrix."""
+    S = np.diag(camera.scale)
+    if isinstance(prior, PosePrior):
+        prior, information = prior.in_frame("camera", camera.pose), camera
+    if isinstance(prior, FisherInformation):
+        total = (information + prior).to_frame("camera")
+        total = dataclass_replace(total, length_scale=camera.length_scale)
+        own = prior.to_frame("camera")
+        matrix = S @ own.matrix @ S
+        if own.covariance_of_entries.any():
+            found = identify(matrix, _scaled(own.covariance_of_entries, camera.scale))
+            return total, (found.seen * found.eigenvalues[: found.rank]) @ found.seen.T
+        return total, _semidefinite(matrix)
+    try:
+        given = np.array(prior, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise OptionError(f"a prior is a FisherInformation or a 6 x 6 matrix: {error}") from None
+    if given.shape != (6, 6) or not np.isfinite(given).all():
+        raise OptionError(f"a prior is a finite 6 x 6 matrix, not {given.shape}; an unknown direction is 0")
+    if not np.allclose(given, given.T, rtol=0.0, atol=1e-9 * np.abs(given).max()):
+        raise OptionError("the prior's information matrix is not symmetric")
+    A = se3.adjoint(camera.pose) if information.frame == "world" else np.eye(6)
+    own_matrix = A.T @ given @ A
+    P = _semidefinite(S @ own_matrix @ S)
+    plain = None if camera.plain_matrix is None else camera.plain_matrix + own_matrix
+    return dataclass_replace(camera, matrix=camera.matrix + own_matrix, plain_matrix=plain), P
+
+
+def _semidefinite(matrix: Array) -> Array:
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    if values[0] < -1e-9 * max(values[-1], 0.0):
+        raise OptionError(
+            f"the prior's information is not positive semi-definite (smallest eigenvalue {values[0]:.3g})"
+        )
+    positive: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return positive
+
+
+def _unseen_by_prior(identifiability: Identifiability, prior: Array) -> Array:
+    """The part (6, q) of the unseen subspace N that a prior P does not see.
+
+    An eigenvector of P sees N only if its share of N is significant: a strong prior elsewhere must not seem
+    to inform a null direction that noise has tilted towards it.
+    """
+    N = identifiability.unseen
+    values, vectors = np.linalg.eigh(prior)
+    informative = values > np.finfo(np.float64).eps * 6 * max(values[-1], 0.0)
+    vectors = vectors[:, informative]
+    vectors = vectors[:, identifiability.has_share(vectors.T)]
+    if N.shape[1] == 0 or vectors.shape[1] == 0:
+        return N
+    left, singular, _ = np.linalg.svd(N.T @ vectors, full_matrices=True)
+    sees = int(np.count_nonzero(singular > 1e-6))
+    return np.asarray(N @ left[:, sees:], dtype=np.float64)
+
+
+def _scaled(covariance_of_entries: Array, scale: Array) -> Array:
+    T = congruence(np.diag(scale))
+    scaled: Array = T @ covariance_of_entries @ T.T
+    return scaled
+
+
+def _inverse_root(matrix: Array) -> Array:
+    """L with L Lᵀ = A⁻¹ for a symmetric positive definite A, by its correlation form against mixed scales.
+
+    A functional a ⟂ N gets ‖Lᵀa‖² exact even where A⁻¹ itself is dominated by a nearly null direction N.
+
+    Raises:
+        OptionError: A is singular to float64, which only a prior can make it.
+    """
+    d = 1.0 / np.sqrt(np.diagonal(matrix))
+    values, vectors = np.linalg.eigh(d[:, None] * matrix * d)
+    if values.size and values[0] < _SMALLEST_CORRELATION:
+        raise OptionError("the prior is so strong in one direction that float64 loses all others; weaken it")
+    root: Array = d[:, None] * vectors / np.sqrt(values)
+    return root
+
+
+def _quadratic_error(vectors: Array, covariance_of_entries: Array) -> Array:
+    """Standard errors (m,) of vᵀ F v for vectors (m, 6)."""
+    gradient = pack(vectors[:, :, None] * vectors[:, None, :]) * _MULTIPLICITY
+    variance = np.einsum("mi,ij,mj->m", gradient, covariance_of_entries, gradient)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)

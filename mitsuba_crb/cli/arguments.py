@@ -1,0 +1,123 @@
+"""The command's texts made into values: pose, size, defaults; each mistake named in one line."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..errors import OptionError, PoseError
+from ..files import read_array, read_json, read_rows, read_text
+
+
+def parse_size(text: str | None) -> tuple[int, int] | None:
+    """Width and height [pixel] from "WxH"."""
+    if text is None:
+        return None
+    found = re.fullmatch(r"\s*(\d+)\s*[xX×]\s*(\d+)\s*", text)
+    if not found:
+        raise OptionError(f"--size {text!r} is not WxH, two whole numbers of pixels, such as 256x192")
+    width, height = int(found.group(1)), int(found.group(2))
+    if not width or not height:
+        raise OptionError(f"--size {text}: width and height must be at least 1")
+    return width, height
+
+
+def parse_defines(texts: list[str] | None) -> dict[str, str]:
+    """Names and values from "name=value" texts; the last of a name counts."""
+    defines = {}
+    for text in texts or ():
+        name, equals, value = text.partition("=")
+        if not equals or not name.strip():
+            raise OptionError(f"-D {text!r} is not name=value, such as -D spp=64")
+        defines[name.strip()] = value.strip()
+    return defines
+
+
+def pose_file(text: str | None) -> Path | None:
+    """The file that a `--pose` text names, or None if the text is the pose itself or is not given."""
+    return None if text is None or _numbers(text) is not None else Path(text)
+
+
+def parse_pose(text: str | None) -> npt.NDArray[np.float64] | None:
+    """world_from_camera, 4x4, from "x y z qx qy qz qw" or from a file.
+
+    A file holds a 4x4 matrix, or the seven numbers, as text separated by blanks or commas, as `.npy`, or as
+    `.json`: nested lists, or an object with the key "pose", as `bound --json` writes.
+
+    Raises:
+        PoseError: the file is missing or unreadable, or is no rigid motion.
+    """
+    from .. import se3
+
+    if text is None:
+        return None
+    file = pose_file(text)
+    if file is None:
+        return se3.pose_from_vector(text)
+    values = _read(file)
+    try:
+        return as_pose(values)
+    except PoseError as error:
+        raise PoseError(f"--pose {file}: {error}") from error
+
+
+def as_pose(values: Any) -> npt.NDArray[np.float64]:
+    """A pose, 4x4, from nested lists of 16 numbers, or from the seven x y z qx qy qz qw.
+
+    Raises:
+        PoseError: something else, or no rigid motion.
+    """
+    from .. import se3
+
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise PoseError("this is neither a 4x4 matrix nor seven numbers x y z qx qy qz qw") from error
+    if array.size == 7:
+        return se3.pose_from_vector(array.ravel())
+    if array.size != 16:
+        raise PoseError(f"expected a 4x4 matrix or seven numbers x y z qx qy qz qw, got {array.size} numbers")
+    return se3.as_pose(array.reshape(4, 4))
+
+
+def parse_displacements(file: Path | None) -> npt.NDArray[np.float64] | None:
+    """Camera-frame twists (m, 6) from a text file with six numbers a row; `#` starts a comment.
+
+    Raises:
+        OptionError: the file is missing, or has something else in it.
+    """
+    if file is None:
+        return None
+    rows = read_rows(file, OptionError)
+    if rows.shape[1] != 6 or len(rows) == 0:
+        raise OptionError(f"--displacements {file}: expected rows of six numbers, got shape {rows.shape}")
+    return rows
+
+
+def _read(file: Path) -> Any:
+    if not os.path.lexists(file):
+        raise PoseError(f"--pose {file}: no such file, and not the seven numbers x y z qx qy qz qw")
+    if file.suffix.lower() == ".npy":
+        return read_array(file, PoseError)
+    if file.suffix.lower() == ".json":
+        document = read_json(file, PoseError)
+        if isinstance(document, dict) and "pose" not in document:
+            raise PoseError(f'--pose {file}: the JSON object has no key "pose"')
+        return document["pose"] if isinstance(document, dict) else document
+    numbers = _numbers(read_text(file, PoseError))
+    if numbers is None:
+        raise PoseError(f"--pose {file}: expected a 4x4 matrix of numbers separated by blanks")
+    return numbers
+
+
+def _numbers(text: str) -> list[float] | None:
+    """The numbers of a text of nothing but numbers, else None."""
+    try:
+        return [float(word) for word in re.split(r"[\s,]+", text.strip())]
+    except ValueError:
+        return None

@@ -1,0 +1,442 @@
+"""Monte Carlo trials: does an estimator attain the bound on this scene, and is its covariance what F⁻¹ says?
+
+Each trial adds noise to the expected image, perturbs the pose, aligns (`align`) and keeps the error
+ξ = log(truth⁻¹ estimate). Expected image, Jacobian and bound are measured once at the truth. The expected
+image is *defined* as that render: tied to it (`align.Anchor`), the estimator's own render of the true pose is
+exact, and away from it unbiased, so that the renderer's noise adds no bias and only the variance that
+`excess` states. A trial's random numbers follow from the seed and its number: neither the number of processes
+nor an interruption changes a result.
+
+A trial has failed if its search did not end, or ended where the image does not fit; failures are counted
+apart.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+import os
+import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, Unpack, get_args
+
+import numpy as np
+from scipy import stats
+
+from .. import se3
+from ..bound.consistency import Consistency, consistency
+from ..bound.cramer_rao import PoseBound, cramer_rao_bound
+from ..errors import OutOfViewError, PrecisionWarning, TrialError
+from ..files import atomic, read_json
+from ..information.fisher import ImageJacobian, fisher_information
+from ..information.subset import selected
+from ..measure.measurement import MeasurementOptions, measurement
+from ..noise import Gaussian
+from ..processes import each
+from ..render.fingerprint import fingerprint, mask_fingerprint
+from ..render.lending import in_turn
+from ..render.scene import as_scene, load_scene
+from ..se3 import Array
+from .align import Anchor, Status, align
+
+SCHEMA = "mitsuba-crb/validate/1"
+DEFAULT_SPP = 256
+
+_MEASURED = ("sensor", "method", "seed", "batches", "size", "drop_invalid", "step_pixels", "versions")
+"""What of the settings the expected image's provenance says."""
+_EXPECTED_SPP = 16
+"""Paths per pixel of the expected image and its Jacobian, over those of a trial's renders."""
+_CHUNK = 4
+_EXPECTED = 0x45585045
+"""Purpose of the random numbers of the expected image."""
+
+Progress = Callable[[int, int], None]
+"""Called after each trial with the trials done and all of them."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial:
+    """How one trial ended."""
+
+    index: int
+    """Its number."""
+    status: Status
+    """Of the search."""
+    error: tuple[float, ...]
+    """(6,), log(truth⁻¹ estimate), camera frame [scene unit, rad]."""
+    residual: float
+    """Root mean square of the whitened residual."""
+    iterations: int
+    """Of the search."""
+    excess: float
+    """Relative excess of its covariance over the bound from the renderer's noise."""
+    invalid: int
+    """Pixels, of those that the bound counts, that it left out (`drop_invalid`)."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Validation:
+    """All trials and what they say of the bound."""
+
+    settings: dict[str, Any]
+    """What the trials depend on, JSON-able."""
+    trials: tuple[Trial, ...]
+    """In the order of their numbers."""
+    failed: tuple[int, ...]
+    """Numbers of the trials that did not end, or ended where the image does not fit."""
+    bound: PoseBound
+    """At the truth."""
+    consistency: Consistency
+    """Of the trials that did not fail."""
+    rmse_position: float
+    """Root mean square distance of the camera centre [scene unit]."""
+    rmse_rotation_deg: float
+    """Root mean square angle [deg]."""
+    bound_position: float
+    """Its bound, the root of the position covariance's trace [scene unit]."""
+    bound_rotation_deg: float
+    """Its bound [deg]."""
+    excess: float
+    """Mean of the trials' excess."""
+    further: tuple[Trial, ...] = ()
+    """What the file that was resumed holds beyond; not judged, but kept."""
+
+    @property
+    def errors(self) -> Array:
+        """(n, 6), of the trials that did not fail."""
+        return np.array([trial.error for trial in self.trials if trial.index not in self.failed])
+
+    @property
+    def squares(self) -> Array:
+        """(n,), their ξᵀFξ, χ²_6 if the bound is attained."""
+        F = self.bound.information.to_frame("camera").matrix
+        return np.asarray(np.einsum("ni,ij,nj->n", self.errors, F, self.errors))
+
+    @property
+    def efficiency(self) -> float:
+        """6 / NEES: 1 for an estimator that attains the bound."""
+        return 6.0 / self.consistency.nees
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON-able values."""
+        found = self.consistency.to_dict()
+        return {
+            "schema": SCHEMA,
+            "settings": self.settings,
+            "trials": len(self.trials),
+            "converged": len(self.trials) - len(self.failed),
+            "failed": list(self.failed),
+            **{name: found[name] for name in found if name != "count"},
+            "efficiency": self.efficiency,
+            "excess": self.excess,
+            "rmse_position": self.rmse_position,
+            "rmse_rotation_deg": self.rmse_rotation_deg,
+            "bound_position": self.bound_position,
+            "bound_rotation_deg": self.bound_rotation_deg,
+            "results": [dataclasses.asdict(trial) for trial in (*self.trials, *self.further)],
+        }
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Setup:
+    """What all trials share."""
+
+    scene: Any
+    """A path, with `defines`, where processes load it, or what `align` takes."""
+    defines: dict[str, str]
+    anchor: Anchor
+    sigma: float
+    settings: dict[str, Any]
+    options: MeasurementOptions
+
+
+def validate(
+    scene: Any,
+    *,
+    trials: int = 100,
+    perturb_deg: float = 0.5,
+    perturb_trans: float = 0.01,
+    sigma: float | None = None,
+    assumed_sigma: float | None = None,
+    estimator: str = "gauss_newton",
+    levels: int = 0,
+    iterations: int = 30,
+    confidence: float = 0.95,
+    workers: int | None = 1,
+    resume: Path | None = None,
+    on_trial: Progress | None = None,
+    defines: Mapping[str, str] | None = None,
+    **options: Unpack[MeasurementOptions],
+) -> Validation:
+    """Run trials and compare their errors with the bound.
+
+    Args:
+        scene: path of a Mitsuba XML file; with one worker also a dictionary or an `mi.Scene`.
+        trials: how many, at least 7.
+        perturb_deg: starts are drawn uniformly from the ball of rotations up to this angle [deg].
+        perturb_trans: the same for translation [scene unit].
+        sigma: standard deviation of the pixel noise [radiance]; None is 0.01 of the image's white.
+        assumed_sigma: the bound's, if it shall be another one: a negative control.
+        estimator, levels, iterations: as for `align`.
+        confidence: of all bands and intervals.
+        workers: processes; None: as many as cores.
+        resume: a JSON file of an earlier run with the same settings, of the same scene, by the same versions;
+            its trials are kept, be they more than `trials`, and new ones are written to it as they end.
+        on_trial: called after each trial.
+        defines: the scene file's `<default>`s.
+        options: see `MeasurementOptions`; `spp` is 256 by default. The bound is that of the pixels that
+            `pixels` chooses, which are all that the estimator has.
+
+    Raises:
+        TrialError: too few trials, a resume file of other settings, or too few that did not fail.
+        MitsubaCRBError: as `align`.
+    """
+    if trials < 7:
+        raise TrialError(f"at least 7 trials are needed for a covariance of six numbers; got {trials}")
+    if perturb_deg < 0.0 or perturb_trans < 0.0:
+        raise TrialError("perturb_deg and perturb_trans must not be negative")
+    record = _recorded(resume)
+    options = {"spp": DEFAULT_SPP, **options}
+    named = dict(defines or {})
+    loaded = load_scene(scene, **named) if isinstance(scene, str | Path) else scene
+    anchor, jacobian, chosen, names = _expected(loaded, sigma, options)
+    selection = dataclasses.asdict(jacobian.selection)
+    settings = {
+        "scene": str(scene) if isinstance(scene, str | Path) else names["scene"],
+        "scene_contents": fingerprint(as_scene(loaded)[0], scene, named),
+        "defines": named,
+        "sigma": chosen,
+        "perturb_deg": float(perturb_deg),
+        "perturb_trans": float(perturb_trans),
+        "estimator": estimator,
+        "levels": levels,
+        "iterations": iterations,
+        **{name: jacobian.provenance[name] for name in _MEASURED},
+        "pixels": {**selection, "mask": mask_fingerprint(np.isfinite(anchor.batches[0]).all(axis=2))},
+        "spp": options["spp"],
+        "integrator": names["integrator"],
+        "pose": [[round(value, 9) for value in row] for row in anchor.pose.tolist()],
+    }
+    done = _resumed(record, settings)
+    shared = _Setup(
+        scene if isinstance(scene, str | Path) else loaded, named, anchor, chosen, settings, options
+    )
+    missing = [index for index in range(trials) if index not in done]
+    chunks = [(shared, missing[k : k + _CHUNK]) for k in range(0, len(missing), _CHUNK)]
+    if workers == 1:
+        chunks = [(dataclasses.replace(shared, scene=loaded), indices) for _, indices in chunks]
+    for _, results in each(_run, chunks, workers):
+        done |= {trial.index: trial for trial in results}
+        if resume is not None:
+            done = _resumed(_recorded(resume), settings) | done  # another run may have written meanwhile
+            _write(resume, {"schema": SCHEMA, "settings": settings, "results": _plain(done)})
+        if on_trial is not None:
+            on_trial(sum(index < trials for index in done), trials)
+    ordered = [done[index] for index in sorted(done)]
+    noise = Gaussian(chosen if assumed_sigma is None else assumed_sigma)
+    result = _judge(settings, tuple(ordered[:trials]), jacobian, noise, confidence)
+    return dataclasses.replace(result, further=tuple(ordered[trials:]))
+
+
+@in_turn
+def _expected(
+    scene: Any, sigma: float | None, options: MeasurementOptions
+) -> tuple[Anchor, ImageJacobian, float, dict[str, str]]:
+    """The anchor at the truth, the Jacobian there, the noise, and what scene and integrator are called."""
+    from ..render.pixels import render_pixels
+
+    many: MeasurementOptions = {**options, "spp": _EXPECTED_SPP * options["spp"]}
+    with measurement(scene, **many) as run:
+        run = run.only()
+        model = run.noise(None if sigma is None else Gaussian(sigma))[0]
+        if not isinstance(model, Gaussian):
+            raise TrialError("trials need Gaussian noise")
+        run.warn_of_limits()
+        image = np.full((1, *run.mask.shape, 3), np.nan)
+        image[0, run.mask] = render_pixels(
+            run.view, selected(run.mask), spp=run.spp, seed=run.seed, purpose=_EXPECTED
+        )[0]
+        jacobian = run.jacobian()
+        valid = np.isfinite(image[0]).all(axis=2) & np.isfinite(jacobian.image).all(axis=2)
+        invalid = int((run.mask & ~valid).sum())
+        run.check_valid(invalid, run.selection.selected)
+        if invalid:
+            image[0, ~valid] = np.nan
+            jacobian = jacobian.only(valid, f"{run.selection.description}, where the radiance is finite")
+        names = {"scene": run.view.label, "integrator": " ".join(str(run.view.integrator).split())}
+        return Anchor(run.view.pose, image, jacobian), jacobian, model.sigma, names
+
+
+def _run(work: tuple[_Setup, list[int]]) -> list[Trial]:
+    setup, indices = work
+    scene = setup.scene
+    if isinstance(scene, str | Path):
+        scene = _loaded(str(scene), *setup.defines.items())
+    return [_trial(setup, scene, index) for index in indices]
+
+
+@functools.lru_cache(maxsize=1)
+def _loaded(scene: str, *defines: tuple[str, str]) -> Any:
+    """A process loads its scene once: the first render of a loaded scene costs as much as a trial."""
+    return load_scene(scene, **dict(defines))
+
+
+def _trial(setup: _Setup, scene: Any, index: int) -> Trial:
+    settings, truth = setup.settings, setup.anchor.pose
+    rng = np.random.default_rng([settings["seed"], index])
+    image = setup.anchor.batches[0]
+    measured = image + setup.sigma * rng.standard_normal(image.shape)
+    start = truth @ se3.exp(
+        np.concatenate(
+            [
+                settings["perturb_trans"] * _in_ball(rng),
+                np.radians(settings["perturb_deg"]) * _in_ball(rng),
+            ]
+        )
+    )
+    options: MeasurementOptions = {
+        **setup.options,
+        "pose": start,
+        "seed": int(rng.integers(1 << 62)),
+        "pixels": np.isfinite(image).all(axis=2),
+    }
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = align(
+                scene,
+                measured,
+                Gaussian(setup.sigma),
+                estimator=settings["estimator"],
+                levels=settings["levels"],
+                iterations=settings["iterations"],
+                anchor=setup.anchor,
+                **options,
+            )
+    except OutOfViewError:
+        # The start was drawn behind a wall, say. Its residual is that of a black image.
+        error = se3.log(se3.inverse(truth) @ start)
+        residual = float(np.sqrt(np.nanmean((measured / setup.sigma) ** 2)))
+        return Trial(index, "diverged", tuple(error.tolist()), residual, 0, 0.0, 0)
+    error = se3.log(se3.inverse(truth) @ found.pose)
+    return Trial(
+        index=index,
+        status=found.status,
+        error=tuple(error.tolist()),
+        residual=found.residual,
+        iterations=found.iterations,
+        excess=found.excess,
+        invalid=found.invalid,
+    )
+
+
+def _in_ball(rng: np.random.Generator) -> Array:
+    direction = rng.standard_normal(3)
+    return np.asarray(direction / np.linalg.norm(direction) * rng.uniform() ** (1.0 / 3.0))
+
+
+def _judge(
+    settings: dict[str, Any],
+    trials: tuple[Trial, ...],
+    jacobian: ImageJacobian,
+    noise: Gaussian,
+    confidence: float,
+) -> Validation:
+    information = fisher_information(jacobian, noise)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PrecisionWarning)
+        bound = cramer_rao_bound(information)
+    # The residual's square is about χ²_M/M; a pose that is wrong is further off than chance by far.
+    values = 3 * len(jacobian.pixels)
+    largest = float(np.sqrt(stats.chi2.isf(1e-9, values) / values)) * 1.05
+    failed = tuple(t.index for t in trials if t.status != "converged" or t.residual > largest)
+    good = [t for t in trials if t.index not in failed]
+    if len(good) < 7:
+        raise TrialError(
+            f"{len(failed)} of {len(trials)} trials failed, too few are left to judge: start nearer "
+            "(--perturb-deg, --perturb-trans), or reach further (--levels)"
+        )
+    errors = np.array([t.error for t in good])
+    moved = se3.exp(errors)
+    distance = np.linalg.norm(moved[:, :3, 3], axis=1)
+    angle = np.linalg.norm(errors[:, 3:], axis=1)
+    return Validation(
+        settings=settings,
+        trials=trials,
+        failed=failed,
+        bound=bound,
+        consistency=consistency(errors, information, confidence=confidence),
+        rmse_position=float(np.sqrt(np.mean(distance**2))),
+        rmse_rotation_deg=float(np.degrees(np.sqrt(np.mean(angle**2)))),
+        bound_position=float(np.sqrt(np.trace(bound.position_covariance))),
+        bound_rotation_deg=float(np.sqrt(np.trace(bound.rotation_covariance_deg2))),
+        excess=float(np.mean([t.excess for t in good])),
+    )
+
+
+def _plain(done: Mapping[int, Trial]) -> list[dict[str, Any]]:
+    return [dataclasses.asdict(done[index]) for index in sorted(done)]
+
+
+class _Record(NamedTuple):
+    """An earlier run."""
+
+    file: Path
+    settings: dict[str, Any]
+    trials: list[Trial]
+
+
+def _recorded(file: Path | None) -> _Record | None:
+    """What an earlier run has left; None if there was none."""
+    if file is None or not os.path.lexists(file):
+        return None
+    try:
+        document = read_json(file, ValueError)
+        schema, settings, results = (document[key] for key in ("schema", "settings", "results"))
+        if schema == SCHEMA:
+            return _Record(file, dict(settings), [_read_trial(**result) for result in results])
+    except (ArithmeticError, KeyError, TypeError, ValueError) as error:
+        raise TrialError(f"{file} exists and is no record of trials ({error}); name another file") from error
+    raise TrialError(f"{file} has the schema {schema!r}, not {SCHEMA!r}; name another file")
+
+
+def _read_trial(
+    index: Any, status: Any, error: Any, residual: Any, iterations: Any, excess: Any, invalid: Any
+) -> Trial:
+    if status not in get_args(Status) or len(error) != 6:
+        raise ValueError(f"trial {index} has the status {status!r} and the error {error}")
+    twist = tuple(float(value) for value in error)
+    return Trial(int(index), status, twist, float(residual), int(iterations), float(excess), int(invalid))
+
+
+def _resumed(record: _Record | None, settings: dict[str, Any]) -> dict[int, Trial]:
+    """The trials of an earlier run with the same settings, all of them."""
+    if record is None:
+        return {}
+    file, before, found = record
+    changed = _changes(before, json.loads(json.dumps(settings)))
+    if changed:
+        raise TrialError(
+            f"{file} holds trials with {', '.join(changed)}; name another file, or use the same settings to "
+            "resume"
+        )
+    return {trial.index: trial for trial in found}
+
+
+def _changes(before: dict[str, Any], now: dict[str, Any], of: str = "") -> list[str]:
+    """What differs between two tables of settings, in words."""
+    found = []
+    for name in dict.fromkeys((*now, *before)):
+        old, new = before.get(name), now.get(name)
+        if isinstance(old, dict) and isinstance(new, dict):
+            found += _changes(old, new, f"{of}{name}.")
+        elif old != new:
+            found.append(f"{of}{name} = {old!r}, not {new!r}")
+    return found
+
+
+def _write(file: Path, document: dict[str, Any]) -> None:
+    with atomic(file) as temporary:
+        temporary.write_text(json.dumps(document), encoding="utf-8")

@@ -1,0 +1,112 @@
+"""What an estimated information shows for certain: the part that is seen, and no negative information.
+
+An unbiased estimate of something that is zero is negative half of the time. Sums take it as it is, since
+its noise averages out there; what is not linear (an inverse, an optimum) would turn unresolved noise into
+something that looks resolved, and takes the seen part alone. Rule and units are those of `identifiability`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import FusionError
+from ..se3 import Array
+from .fisher import FisherInformation, PixelSelection
+from .identifiability import Identifiability, identify
+from .symmetric import congruence, symmetrised, unpack
+
+NEGATIVE = 4.0
+"""Standard errors beyond which negative information is no estimation noise."""
+
+_ROUNDING = 1e-9
+_DRAWS = 2048
+
+
+def no_information(*, variable: str, pose: ArrayLike, length_scale: float = 1.0) -> FisherInformation:
+    """Exactly nothing, about a pose that only others' measurements will tell of."""
+    return FisherInformation(
+        matrix=np.zeros((6, 6)),
+        covariance_of_entries=np.zeros((21, 21)),
+        frame="camera",
+        variable=variable,
+        pose=np.asarray(pose, dtype=np.float64),
+        length_scale=length_scale,
+        selection=PixelSelection("only", 0, 0, "none"),
+    )
+
+
+def identified(information: FisherInformation) -> Identifiability:
+    """Seen and unseen directions, in the camera frame with translation in units of the length scale."""
+    camera = information.to_frame("camera")
+    return identify(_scaled(camera), scaled_covariance(camera))
+
+
+def seen_root(information: FisherInformation) -> Array:
+    """R (6, r) with R Rᵀ the seen part of the information, in the camera frame, unscaled."""
+    found = identified(information)
+    root: Array = found.seen * np.sqrt(found.eigenvalues[: found.rank]) / information.scale[:, None]
+    return root
+
+
+def scaled_covariance(camera: FisherInformation) -> Array:
+    """(21, 21), of the entries with translation in units of the length scale."""
+    T = congruence(np.diag(camera.scale))
+    covariance: Array = T @ camera.covariance_of_entries @ T.T
+    return covariance
+
+
+def refuse_negative(information: FisherInformation, name: str) -> None:
+    """Refuse information that is negative beyond what estimation noise explains.
+
+    The smallest of several unseen directions' eigenvalues is negative by chance: it may lie `NEGATIVE`
+    standard errors below its mean under pure noise, which is zero for a single direction.
+
+    Raises:
+        FusionError: it lies lower.
+    """
+    camera = information.to_frame("camera")
+    eigenvalues = np.linalg.eigvalsh(_scaled(camera))
+    smallest, largest = float(eigenvalues[0]), float(np.abs(eigenvalues).max())
+    if smallest >= -_ROUNDING * largest:
+        return
+    found = identified(camera)
+    values, vectors = np.linalg.eigh(scaled_covariance(camera))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    draws = np.random.default_rng(1997).standard_normal((_DRAWS, 21)) @ root.T
+    noise = found.unseen.T @ unpack(draws) @ found.unseen
+    # The last of the unseen directions is the smallest eigenvalue's.
+    error = float(noise[:, -1, -1].std())
+    mean = float(np.linalg.eigvalsh(noise)[:, 0].mean()) if found.rank < 5 else 0.0
+    if smallest < mean - NEGATIVE * error - _ROUNDING * largest:
+        size = f"by {(mean - smallest) / error:.1f} standard errors" if error > 0.0 else "and exact"
+        raise FusionError(
+            f"the information of {name!r} is negative {size} (smallest eigenvalue {smallest:.3g}); noise "
+            f"explains {NEGATIVE:g}. Is a sign wrong, or the covariance of its entries?"
+        )
+
+
+def positive_semi_definite(value: ArrayLike, size: int, what: str) -> Array:
+    """An exact information matrix (size, size), checked.
+
+    Raises:
+        FusionError: another shape, not finite, not symmetric, or negative beyond rounding.
+    """
+    matrix = np.array(value, dtype=np.float64)
+    if matrix.shape != (size, size) or not np.isfinite(matrix).all():
+        raise FusionError(f"{what} must be a finite {size} x {size} matrix, not of shape {matrix.shape}")
+    # Rows have different units: compare with the diagonal's, and judge the sign of the correlation form.
+    d = np.sqrt(np.abs(np.diagonal(matrix)))
+    d = 1.0 / np.where(d > 0.0, d, 1.0)
+    unit = d[:, None] * matrix * d
+    if not np.allclose(unit, unit.T, rtol=0.0, atol=_ROUNDING):
+        raise FusionError(f"{what} is not symmetric")
+    smallest = float(np.linalg.eigvalsh(unit)[0])
+    if smallest < -_ROUNDING:
+        raise FusionError(f"{what} is not positive semi-definite (smallest scaled eigenvalue {smallest:.3g})")
+    return symmetrised(matrix)
+
+
+def _scaled(camera: FisherInformation) -> Array:
+    scaled: Array = camera.scale[:, None] * camera.matrix * camera.scale
+    return scaled

@@ -1,0 +1,220 @@
+"""Measures a team's agents in parallel processes, and fuses them or chooses their tiles.
+
+Every agent's random numbers follow from its name, so that the results do not depend on the number of
+processes (`processes`).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any, Literal, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..agents.fusion import Agent, Fusion, fuse
+from ..agents.selection import TileSelection, select_tiles
+from ..agents.team import Member, Team
+from ..agents.tiles import Budget, TileInformation, together
+from ..bound.cramer_rao import PoseBound
+from ..errors import MitsubaCRBError
+from ..processes import each
+from ..render.scene import load_scene
+from .measurement import TileJacobian, pose_bound
+from .tiles import tile_information
+
+T = TypeVar("T")
+Progress = Callable[[int, int], None]
+"""Called after each agent with the agents done and all of them."""
+
+CURVE_POINTS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """What a process needs to measure one agent."""
+
+    member: Member
+    """The agent."""
+    options: dict[str, Any]
+    """Its `MeasurementOptions`."""
+    tiles: dict[str, Any]
+    """What else `tile_information` takes."""
+
+
+@dataclass(frozen=True, eq=False)
+class TeamFusion:
+    """What a team knows together, and what each agent knows alone."""
+
+    fusion: Fusion
+    """About the common body."""
+    bounds: tuple[PoseBound, ...]
+    """About each agent's own camera, in the team's order."""
+
+
+@dataclass(frozen=True, eq=False)
+class TeamSelection:
+    """Which tiles a team should send."""
+
+    selection: TileSelection
+    """Under the budget asked for."""
+    curve: tuple[tuple[int, TileSelection], ...]
+    """The same for several budgets: tiles or bytes in total, ascending."""
+    counts: Literal["tiles", "bytes"]
+    """What the curve's budgets count."""
+    agents: tuple[TileInformation, ...]
+    """All tiles, about the common body, in the team's order."""
+    images: tuple[NDArray[np.float32], ...]
+    """(H, W, 3) each agent's image [radiance]."""
+    warnings: tuple[str, ...]
+    """What happened on the way."""
+
+
+def fuse_team(team: Team, *, workers: int | None = None, on_agent: Progress | None = None) -> TeamFusion:
+    """The joint bound of a team's common body.
+
+    Args:
+        team: from `load_team`.
+        workers: processes; None: one per agent, but no more than there are cores. 1 spawns none.
+        on_agent: called after each agent.
+
+    Raises:
+        MitsubaCRBError: as `pose_bound` and `fuse`, the agent named.
+    """
+    bounds, _ = _each(_bound, team, workers, on_agent)  # their provenance repeats the warnings
+    transforms = team.transforms([bound.information.pose for bound in bounds])
+    agents = [
+        Agent(member.name, bound.information, transform)
+        for member, bound, transform in zip(team.members, bounds, transforms, strict=True)
+    ]
+    return TeamFusion(fuse(agents, variable=team.body), tuple(bounds))
+
+
+def select_team(
+    team: Team,
+    budget: Budget,
+    *,
+    objective: Literal["logdet", "trace", "lambda_min"] = "logdet",
+    workers: int | None = None,
+    on_agent: Progress | None = None,
+) -> TeamSelection:
+    """The tiles that a team should send under a budget, and what other budgets would be worth.
+
+    Args:
+        team: from `load_team`; its agents' budgets hold where `budget` has no limit per agent.
+        budget: limits on tiles and bytes, in total and per agent.
+        objective: as for `select_tiles`.
+        workers: as for `fuse_team`.
+        on_agent: called after each agent.
+
+    Raises:
+        MitsubaCRBError: as `tile_information` and `select_tiles`, the agent named.
+    """
+    measured, texts = _each(_tiles, team, workers, on_agent)
+    own, images = zip(*measured, strict=True)
+    agents = together(own, team.transforms([tiles.pose for tiles in own]), variable=team.body)
+    limits = replace(
+        budget,
+        tiles_per_agent=_per_agent(budget.tiles_per_agent, {m.name: m.tiles for m in team.members}),
+        bytes_per_agent=_per_agent(budget.bytes_per_agent, {m.name: m.bytes for m in team.members}),
+    )
+    counts: Literal["tiles", "bytes"] = "bytes" if limits.tiles is None and limits.bytes else "tiles"
+    exist = sum(int(a.cost_bytes.sum()) if counts == "bytes" else len(a.tiles) for a in agents)
+    asked = getattr(limits, counts)
+    top = exist if asked is None else min(2 * asked, exist)
+    points = np.unique(np.linspace(0, top, CURVE_POINTS + 1).round().astype(int)[1:]).tolist()
+    selections = [select_tiles(agents, replace(limits, **{counts: n}), objective=objective) for n in points]
+    # What no choice exceeds under a larger budget, none exceeds under a smaller one.
+    for smaller, larger in reversed(list(pairwise(range(len(points))))):
+        selections[smaller] = selections[smaller].bounded(selections[larger].upper_bound)
+    return TeamSelection(
+        selection=select_tiles(agents, limits, objective=objective),
+        curve=tuple(zip(points, selections, strict=True)),
+        counts=counts,
+        agents=tuple(agents),
+        images=images,
+        warnings=texts,
+    )
+
+
+def _per_agent(
+    asked: int | Mapping[str, int] | None, own: Mapping[str, int | None]
+) -> int | Mapping[str, int] | None:
+    """A limit for all agents if one was asked for, otherwise each agent's own."""
+    return {name: limit for name, limit in own.items() if limit is not None} if asked is None else asked
+
+
+class _Outcome(NamedTuple):
+    """What became of one agent's job, in whichever process; warnings and error name the agent."""
+
+    result: Any
+    warnings: list[Warning]
+    error: MitsubaCRBError | None
+
+
+def _each(
+    measure: Callable[[Job], T], team: Team, workers: int | None, on_agent: Progress | None
+) -> tuple[list[T], tuple[str, ...]]:
+    """What is measured of every member, in the team's order, and what was warned of, each once.
+
+    Warns:
+        If a member fails, of what it has warned before.
+    """
+    jobs = [(measure, Job(member, team.options(member), team.tiles)) for member in team.members]
+    outcomes: dict[int, _Outcome] = {}
+    with closing(each(_outcome, jobs, workers)) as ended:
+        for index, outcome in ended:
+            if outcome.error is not None:
+                for warning in outcome.warnings:
+                    warnings.warn(warning, stacklevel=3)
+                raise outcome.error
+            outcomes[index] = outcome
+            if on_agent is not None:
+                on_agent(len(outcomes), len(jobs))
+    ordered = [outcomes[index] for index in range(len(jobs))]
+    texts = dict.fromkeys(str(warning) for outcome in ordered for warning in outcome.warnings)
+    return [outcome.result for outcome in ordered], tuple(texts)
+
+
+def _outcome(work: tuple[Callable[[Job], Any], Job]) -> _Outcome:
+    measure, job = work
+    result, failure = None, None
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            result = measure(job)
+        except MitsubaCRBError as error:
+            failure = type(error)(f"agent {job.member.name!r}: {error}")
+    named = [warning.category(f"{job.member.name}: {warning.message}") for warning in caught]
+    return _Outcome(result, named, failure)
+
+
+def _bound(job: Job) -> PoseBound:
+    member = job.member
+    return pose_bound(load_scene(member.scene, **member.defines), member.noise, **job.options)
+
+
+def _tiles(job: Job) -> tuple[TileInformation, NDArray[np.float32]]:
+    member = job.member
+    parts: list[tuple[NDArray[np.int64], NDArray[np.float64]]] = []
+
+    def on_tile(part: TileJacobian, done: int, total: int) -> None:
+        parts.append((part.pixels, part.mean))
+
+    information = tile_information(
+        load_scene(member.scene, **member.defines),
+        member.noise,
+        agent=member.name,
+        on_tile=on_tile,
+        **job.tiles,
+        **job.options,
+    )
+    x, y, width, height = information.tiles.T
+    image = np.full((int((y + height).max()), int((x + width).max()), 3), np.nan, np.float32)
+    for pixels, mean in parts:
+        image[pixels[:, 1], pixels[:, 0]] = mean
+    return information, image

@@ -1,0 +1,239 @@
+"""Camera paths that also tell what they met first: the surface, and the light that arrives there.
+
+    L = L_e(p, ω) + Σ_i f(ω, ω_i) E_i,   i = towards a sampled emitter, along a sampled direction of the BSDF
+
+f includes the cosine, E_i is radiance times multiple importance weight over density. With L in this form the
+view term differentiates f alone, and the filter term needs no second intersection for depth and normal.
+
+Source: Mitsuba 3.9, integrators `path` and `prb`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+import drjit as dr
+
+from .pixels import known_integrator, radiance
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+    from .scene import View
+
+
+Numbers: TypeAlias = "tuple[mi.Point2f, mi.Point2f]"
+"""Random numbers in [0, 1)² of a surface, for the emitter and for the direction in which the path goes on."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What camera rays find."""
+
+    hit: mi.SurfaceInteraction3f
+    light: mi.Color3f
+    """L [radiance]."""
+    incident: list[tuple[mi.Vector3f, mi.Color3f]]
+    """ω_i in the hit's shading frame and E_i; empty if the integrator does not tell."""
+
+
+def tracer(view: View) -> PathTracer | IntegratorTracer:
+    """What traces the view's camera paths."""
+    known = known_integrator(view.integrator)
+    return IntegratorTracer() if known is None else PathTracer(*known[1:])
+
+
+def first_hit(view: View, ray: mi.Ray3f, active: mi.Bool | bool = True) -> mi.SurfaceInteraction3f:
+    """The first surface that the integrator sees along camera rays in the world."""
+    import mitsuba as mi
+
+    active = mi.Bool(active)
+    hit = view.scene.ray_intersect_preliminary(ray, coherent=True, reorder=False, active=active)
+    if view.integrator.hide_emitters:
+        hidden = active & hit.is_valid() & (hit.shape.emitter() != None)  # noqa: E711  # an array
+        lamp = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, hidden)
+        hit[hidden] = view.integrator.skip_area_emitters(view.scene, lamp.spawn_ray(ray.d), True, hidden)
+    return hit.compute_surface_interaction(ray, mi.RayFlags.All, active)
+
+
+@dataclass(frozen=True)
+class IntegratorTracer:
+    """Calls the view's integrator, and intersects the first surface beside it."""
+
+    def trace(self, view: View, sampler: mi.Sampler, ray: mi.Ray3f, _first: Numbers | None = None) -> Seen:
+        """Radiance along camera rays in the world, and what they hit; integrators draw their own numbers."""
+        hit = first_hit(view, ray)
+        return Seen(hit, radiance(view, sampler, ray), [])
+
+    def radiance(
+        self, view: View, sampler: mi.Sampler, ray: mi.Ray3f, _first: Numbers | None, active: mi.Bool
+    ) -> mi.Color3f:
+        """As `trace`, from the same random numbers."""
+        return radiance(view, sampler, ray, active)
+
+
+@dataclass(frozen=True)
+class PathTracer:
+    """Mitsuba's `path`."""
+
+    max_depth: int
+    rr_depth: int
+
+    def trace(self, view: View, sampler: mi.Sampler, ray: mi.Ray3f, first: Numbers | None = None) -> Seen:
+        """Radiance along camera rays in the world, and what they hit.
+
+        Args:
+            first: numbers of the first surface in place of the sampler's.
+        """
+        import mitsuba as mi
+
+        hit = first_hit(view, ray)
+        light, incident = self._trace(view, sampler, ray, hit, first, mi.Bool(True))
+        return Seen(hit, light, incident)
+
+    def radiance(
+        self, view: View, sampler: mi.Sampler, ray: mi.Ray3f, first: Numbers | None, active: mi.Bool
+    ) -> mi.Color3f:
+        """As `trace`, from the same random numbers."""
+        return self._trace(view, sampler, ray, first_hit(view, ray, active), first, active)[0]
+
+    def _trace(
+        self,
+        view: View,
+        sampler: mi.Sampler,
+        ray: mi.Ray3f,
+        hit: mi.SurfaceInteraction3f,
+        first: Numbers | None,
+        active: mi.Bool,
+    ) -> tuple[mi.Color3f, list[tuple[mi.Vector3f, mi.Color3f]]]:
+        import mitsuba as mi
+
+        light = hit.emitter(view.scene, active).eval(hit, active)
+        bounces = active & hit.is_valid() & (self.max_depth > 1)
+        vertex = _scatter(view.scene, sampler, hit, ray, bounces, first)
+        beyond = self._beyond(view, sampler, hit, vertex, bounces)
+        light += vertex.towards_value * vertex.towards_weight + vertex.weight * beyond
+        density = dr.select(vertex.density > 0.0, dr.rcp(vertex.density), 0.0)
+        return light, [
+            (vertex.towards, vertex.towards_weight),
+            (vertex.direction, dr.select(vertex.delta, mi.Color3f(0.0), beyond * density)),
+        ]
+
+    @dr.syntax  # type: ignore[untyped-decorator]  # Dr.Jit is untyped here
+    def _beyond(
+        self,
+        view: View,
+        sampler: mi.Sampler,
+        hit: mi.SurfaceInteraction3f,
+        vertex: _Vertex,
+        active: mi.Bool,
+    ) -> mi.Color3f:
+        """Radiance that arrives along the sampled direction, emitters weighted against their own sampling."""
+        import mitsuba as mi
+
+        scene = view.scene
+        ray = mi.Ray3f(vertex.ray)
+        previous = mi.Interaction3f(hit)
+        density, delta = mi.Float(vertex.density), mi.Bool(vertex.delta)
+        first, eta = mi.Color3f(vertex.weight), mi.Float(vertex.eta)
+        light, throughput = mi.Color3f(0.0), mi.Color3f(1.0)
+        depth = mi.UInt32(1)
+        active = _survives(sampler, throughput, first, eta, depth, self.rr_depth, active)
+        preliminary = scene.ray_intersect_preliminary(ray, coherent=False, reorder=False, active=active)
+        while dr.hint(active, exclude=[self, view, scene], max_iterations=self.max_depth, label="bounces"):
+            si = preliminary.compute_surface_interaction(ray, mi.RayFlags.All)
+            towards = mi.DirectionSample3f(scene, si, previous)
+            emitter_density = scene.pdf_emitter_direction(previous, towards, ~delta)
+            weight = _power_heuristic(density, emitter_density)
+            light += throughput * weight * towards.emitter.eval(si, density > 0.0)
+
+            active = (depth + 1 < self.max_depth) & si.is_valid()
+            step = _scatter(scene, sampler, si, ray, active)
+            light += throughput * step.towards_value * step.towards_weight
+            throughput *= step.weight
+            eta *= step.eta
+            ray = step.ray
+            previous = mi.Interaction3f(si)
+            density, delta = step.density, step.delta
+            depth += 1
+            active = _survives(sampler, throughput, first, eta, depth, self.rr_depth, active)
+            preliminary = scene.ray_intersect_preliminary(ray, coherent=False, reorder=False, active=active)
+        return light
+
+
+@dataclass(frozen=True)
+class _Vertex:
+    """Next-event estimation and BSDF sampling at one surface point; directions in its shading frame."""
+
+    towards: mi.Vector3f
+    towards_value: mi.Color3f
+    """f towards the sampled emitter."""
+    towards_weight: mi.Color3f
+    """Its radiance times multiple importance weight over density."""
+    direction: mi.Vector3f
+    weight: mi.Color3f
+    """f over density of the sampled direction."""
+    density: mi.Float
+    delta: mi.Bool
+    eta: mi.Float
+    ray: mi.Ray3f
+    """Along the sampled direction, in the world."""
+
+
+def _scatter(
+    scene: mi.Scene,
+    sampler: mi.Sampler,
+    si: mi.SurfaceInteraction3f,
+    ray: mi.Ray3f,
+    active: mi.Bool,
+    numbers: Numbers | None = None,
+) -> _Vertex:
+    import mitsuba as mi
+
+    bsdf = si.bsdf(ray)
+    lit = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+    emitter, emitted = scene.sample_emitter_direction(
+        si, numbers[0] if numbers else sampler.next_2d(), True, lit
+    )
+    lit &= emitter.pdf != 0.0
+    towards = si.to_local(emitter.d)
+    lobe = sampler.next_1d()
+    value, density, sample, weight = bsdf.eval_pdf_sample(
+        mi.BSDFContext(), si, towards, lobe, numbers[1] if numbers else sampler.next_2d(), active
+    )
+    heuristic = dr.select(emitter.delta, 1.0, _power_heuristic(emitter.pdf, density))
+    return _Vertex(
+        towards,
+        value,
+        dr.select(lit, emitted * heuristic, 0.0),
+        sample.wo,
+        dr.select(active, weight, 0.0),
+        sample.pdf,
+        mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta),
+        sample.eta,
+        si.spawn_ray(si.to_world(sample.wo)),
+    )
+
+
+def _survives(
+    sampler: mi.Sampler,
+    throughput: mi.Color3f,
+    first: mi.Color3f,
+    eta: mi.Float,
+    depth: mi.UInt32,
+    rr_depth: int,
+    active: mi.Bool,
+) -> mi.Bool:
+    """Russian roulette as in `path`; divides the throughput by the probability."""
+    largest = dr.max(throughput * first)
+    probability = dr.minimum(largest * eta * eta, 0.95)
+    plays = depth >= rr_depth
+    survives = sampler.next_1d() < probability
+    throughput[plays] *= dr.rcp(probability)
+    return active & (~plays | survives) & (largest != 0.0)
+
+
+def _power_heuristic(density: mi.Float, other: mi.Float) -> mi.Float:
+    squared = density * density
+    return dr.select(squared > 0.0, squared / (squared + other * other), 0.0)

@@ -1,0 +1,108 @@
+"""Priors of a pose: frames, per-axis standard deviations, files, and what cannot be one."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import synthetic_view
+from matrices import misfit
+from synthetic_view import POSE
+
+from mitsuba_crb import cramer_rao_bound, fisher_information, se3
+from mitsuba_crb.bound.prior import PosePrior, load_prior, prior_from_dict
+from mitsuba_crb.errors import PriorError
+from mitsuba_crb.noise import Gaussian
+
+
+def _written(tmp_path, text, name="prior.toml"):
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("frame", ["camera", "world"])
+def test_the_quadratic_form_does_not_depend_on_the_frame(frame):
+    """ξᵀPξ is invariant; taking the matrix for one of the other frame is the negative control."""
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(6, 6))
+    prior = PosePrior(root @ root.T, frame)
+    camera = rng.normal(size=6)
+    world = se3.adjoint(POSE) @ camera
+    own = camera if frame == "camera" else world
+    expected = own @ prior.matrix @ own
+    assert camera @ prior.in_frame("camera", POSE) @ camera == pytest.approx(expected)
+    assert world @ prior.in_frame("world", POSE) @ world == pytest.approx(expected)
+    other = world if frame == "camera" else camera
+    assert other @ prior.matrix @ other != pytest.approx(expected, rel=0.01)
+
+
+def test_deviations_in_the_world_are_of_the_centre_and_about_it():
+    """A bound of nothing but the prior has the prior's own standard deviations, however far the origin is."""
+    deviations = {"position_std": [0.1, 0.2, 0.3], "rotation_std_deg": 2.0}
+    prior = prior_from_dict({"frame": "world", **deviations})
+    covariance = np.linalg.inv(prior.in_frame("camera", POSE))
+    R = POSE[:3, :3]
+    centre = R @ covariance[:3, :3] @ R.T
+    np.testing.assert_allclose(np.sqrt(np.diagonal(centre)), deviations["position_std"])
+    np.testing.assert_allclose(centre, np.diag(np.diagonal(centre)), atol=1e-12)
+    np.testing.assert_allclose(covariance[3:, 3:], np.radians(2.0) ** 2 * np.eye(3), atol=1e-12)
+
+
+def test_it_is_added_whatever_the_frame_of_the_information():
+    information = fisher_information(synthetic_view.jacobian(), Gaussian(0.1))
+    prior = prior_from_dict({"frame": "world", "position_std": 0.001})
+    added = information.matrix + prior.in_frame("camera", POSE)
+    camera = cramer_rao_bound(information, prior=prior)
+    world = cramer_rao_bound(information.to_frame("world"), prior=prior)
+    assert misfit(camera.information.matrix, added) < 1e-12
+    np.testing.assert_allclose(world.position_std, camera.position_std, rtol=1e-6)
+    assert (camera.position_std < cramer_rao_bound(information).position_std).all()
+    assert (camera.position_std < 0.001).all()
+
+
+def test_files_say_the_same_as_matrices(tmp_path):
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(6, 6))
+    covariance = root @ root.T
+    text = json.dumps({"frame": "world", "covariance": covariance.tolist()})
+    from_json = load_prior(_written(tmp_path, text, "prior.json"))
+    assert misfit(from_json.matrix, np.linalg.inv(covariance)) < 1e-9
+    toml = 'frame = "camera"\nposition_std = 0.5\nrotation_std_deg = [1.0, inf, 1.0]\n'
+    expected = np.diag([4.0, 4.0, 4.0, *(np.radians(1.0) ** -2.0 * np.array([1.0, 0.0, 1.0]))])
+    np.testing.assert_allclose(load_prior(_written(tmp_path, toml)).matrix, expected)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("frame = 'camera'\n", "needs a frame and either"),
+        ("position_std = 1\n", "needs a frame and either"),
+        ("frame = 'body'\nposition_std = 1\n", "'camera' or 'world', not 'body'"),
+        ("frame = 'camera'\nsigma = 1\n", "unknown key sigma; keys: frame, information"),
+        ("frame = 'camera'\nposition_std = -1\n", "position_std must be a positive number"),
+        ("frame = 'camera'\nposition_std = 1e-300\n", "finite 6 x 6 matrix"),
+        (f"frame = 'camera'\nposition_std = 1{400 * '0'}\n", "position_std must be a positive number"),
+        (f"frame = 'camera'\ninformation = 1{400 * '0'}\n", "6 x 6 matrix of numbers"),
+        ("frame = 'camera'\nposition_std = [1, 2]\n", "position_std must be a positive number"),
+        ("frame = 'camera'\ninformation = [[1, 2]]\n", r"finite 6 x 6 matrix, not of shape \(1, 2\)"),
+        ("frame = ", "prior.toml is no TOML"),
+    ],
+)
+def test_what_is_no_prior_is_named(tmp_path, text, message):
+    with pytest.raises(PriorError, match=message):
+        load_prior(_written(tmp_path, text))
+
+
+def test_matrices_that_are_no_information_are_named(tmp_path):
+    with pytest.raises(PriorError, match=r"cannot read .*missing.toml: No such file"):
+        load_prior(tmp_path / "missing.toml")
+    with pytest.raises(PriorError, match="scaled eigenvalue -1;"):
+        PosePrior(np.diag([1.0, 1, 1, 1, 1, -1]), "camera")
+    with pytest.raises(PriorError, match="must be symmetric"):
+        PosePrior(np.triu(np.ones((6, 6))), "camera")
+    with pytest.raises(PriorError, match="positive definite; give information"):
+        prior_from_dict({"frame": "camera", "covariance": np.diag([1, 1, 1, 1, 1, 0]).tolist()})
+    with pytest.raises(PriorError, match="a table with the keys"):
+        prior_from_dict([1])
