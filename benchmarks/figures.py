@@ -21,7 +21,7 @@ import numpy as np
 
 from mitsuba_crb import cramer_rao_bound, fisher_information, pose_jacobian
 from mitsuba_crb.errors import BlindSpotWarning
-from mitsuba_crb.export.documents import pictures_of
+from mitsuba_crb.measure.pictures import pictures_of
 from mitsuba_crb.noise import Gaussian
 from mitsuba_crb.show.bound_page import bound_figure
 from mitsuba_crb.show.plot import column_limit, draw_column, draw_render

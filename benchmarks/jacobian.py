@@ -43,7 +43,7 @@ from mitsuba_crb import load_scene, pose_bound, pose_jacobian
 from mitsuba_crb.information.fisher import FisherInformation
 from mitsuba_crb.information.subset import tiles
 from mitsuba_crb.render.pixels import render_pixels
-from mitsuba_crb.render.scene import open_view
+from mitsuba_crb.render.view import open_view
 
 ROOT = Path(__file__).parents[1]
 PARTS = ("sides", "precision", "pixels", "subset", "cold")

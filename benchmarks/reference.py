@@ -1,4 +1,4 @@
-"""Many-sample references of the Fisher information, by finite differences, for tests/test_flow_table.py.
+"""Many-sample references of F by finite differences, for tests/jacobian/test_flow_table.py.
 
     python benchmarks/reference.py sphere mirror --seeds 0 1 2 3     # or --all
     python benchmarks/reference.py --all --compare                   # flow beside them, a few minutes
@@ -28,8 +28,9 @@ from rich.table import Table
 
 from mitsuba_crb.errors import PrecisionWarning
 from mitsuba_crb.files import atomic
-from mitsuba_crb.information.fisher import FisherInformation, fisher_information
-from mitsuba_crb.jacobian import finite_difference
+from mitsuba_crb.information.accumulate import fisher_information
+from mitsuba_crb.information.fisher import FisherInformation
+from mitsuba_crb.jacobian.finite_difference import FiniteDifference, steps_of
 from mitsuba_crb.measure.measurement import measurement, versions
 from mitsuba_crb.noise import Gaussian
 
@@ -50,7 +51,9 @@ def extrapolated(name: str, *, spp: int, seed: int, step: float) -> tuple[Fisher
     options = {"size": row.size, "spp": spp, "seed": seed, "batches": BATCHES}
     with measurement(row.scene(), method="finite_difference", **options) as measured:
         for pixels in (step, 2.0 * step):
-            measured.prepared = finite_difference.prepare(measured.view, pixels, even=True)
+            steps = steps_of(measured.view, pixels)
+            # In the place of the method that the measurement would open, whose film points are independent.
+            vars(measured)["method"] = FiniteDifference(measured.view, measured.paths, steps, even=True)
             jacobians.append(measured.jacobian())
     fine, coarse = jacobians
     values = (4.0 * fine.batch_values - coarse.batch_values) / 3.0
@@ -116,12 +119,12 @@ def run(name: str, *, spp: int, seed: int, step: float) -> None:
 
 
 def compare(names: list[str]) -> None:
-    """Flow beside the references, in per cent: what tests/test_flow_table.py asserts; and its preparation."""
+    """Flow beside the references, in per cent, as the test of the table has it; and its preparation."""
     table = Table("scene", "paths", "error", "diagonal", "off-diagonal", "prepare s")
     for name in names:
         with measurement(ROWS[name].scene(), size=ROWS[name].size) as measured:
             start = time.perf_counter()
-            prepared = measured.prepared
+            prepared = measured.method
             seconds = time.perf_counter() - start
         del measured, prepared  # whose scene would otherwise be part of the next one's kernels
         difference, error = compared(name, ROWS[name].spp)

@@ -27,16 +27,16 @@ if TYPE_CHECKING:
     from .bound.prior import PosePrior as PosePrior
     from .bound.prior import load_prior as load_prior
     from .estimate.trials import validate as validate
+    from .information.accumulate import fisher_information as fisher_information
     from .information.fisher import FisherInformation as FisherInformation
-    from .information.fisher import ImageJacobian as ImageJacobian
-    from .information.fisher import fisher_information as fisher_information
+    from .information.image_jacobian import ImageJacobian as ImageJacobian
     from .information.joint import JointInformation as JointInformation
     from .information.joint import joint_information as joint_information
     from .measure.bayesian import van_trees as van_trees
     from .measure.check import check_jacobian as check_jacobian
     from .measure.displaced import hcr_bound as hcr_bound
-    from .measure.measurement import pose_bound as pose_bound
-    from .measure.measurement import pose_jacobian as pose_jacobian
+    from .measure.pose import pose_bound as pose_bound
+    from .measure.pose import pose_jacobian as pose_jacobian
     from .measure.tiles import tile_information as tile_information
     from .render.scene import load_scene as load_scene
 
@@ -52,13 +52,13 @@ _HOME = {
     "fuse": "agents.fusion",
     "to_coordinates": "bound.coordinates",
     "FisherInformation": "information.fisher",
-    "ImageJacobian": "information.fisher",
-    "fisher_information": "information.fisher",
+    "ImageJacobian": "information.image_jacobian",
+    "fisher_information": "information.accumulate",
     "JointInformation": "information.joint",
     "joint_information": "information.joint",
     "hcr_bound": "measure.displaced",
-    "pose_bound": "measure.measurement",
-    "pose_jacobian": "measure.measurement",
+    "pose_bound": "measure.pose",
+    "pose_jacobian": "measure.pose",
     "InformationFilter": "agents.information_filter",
     "tile_information": "measure.tiles",
     "PosePrior": "bound.prior",

@@ -32,7 +32,7 @@ References: Barfoot, "State Estimation for Robotics", 2nd ed., chapter 8; Solà,
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -176,6 +176,23 @@ def pose_from_vector(vector: str | ArrayLike) -> Array:
     pose[:3, :3] = Rotation.from_quat(values[3:]).as_matrix()
     pose[:3, 3] = values[:3]
     return pose
+
+
+def pose_from_numbers(values: Any) -> Array:
+    """A pose, 4x4, from nested lists of 16 numbers, or from the seven x y z qx qy qz qw.
+
+    Raises:
+        PoseError: something else, or no rigid motion.
+    """
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise PoseError("this is neither a 4x4 matrix nor seven numbers x y z qx qy qz qw") from error
+    if array.size == 7:
+        return pose_from_vector(array.ravel())
+    if array.size != 16:
+        raise PoseError(f"expected a 4x4 matrix or seven numbers x y z qx qy qz qw, got {array.size} numbers")
+    return as_pose(array.reshape(4, 4))
 
 
 def move_covariance(covariance: ArrayLike, a_from_b: ArrayLike) -> Array:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
-from mitsuba_crb.render.scene import use_mitsuba
+from mitsuba_crb.render.backend import use_mitsuba
 
 if TYPE_CHECKING:
     import mitsuba as mi

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mitsuba_crb import se3
-from mitsuba_crb.information.fisher import FisherInformation, PixelSelection
+from mitsuba_crb.information.fisher import FisherInformation
+from mitsuba_crb.information.image_jacobian import PixelSelection
 
 SELECTION = PixelSelection("all", 100, 100, "all")
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_crb.render.scene import use_mitsuba
+from mitsuba_crb.render.backend import use_mitsuba
 
 use_mitsuba()
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from mitsuba_crb import se3
 from mitsuba_crb.bound.cramer_rao import PoseBound, cramer_rao_bound
-from mitsuba_crb.information.fisher import ImageJacobian, PixelSelection, fisher_information
+from mitsuba_crb.information.accumulate import fisher_information
+from mitsuba_crb.information.image_jacobian import ImageJacobian, PixelSelection
 from mitsuba_crb.noise import Gaussian
 
 SIGMA = 0.01

@@ -19,17 +19,20 @@ sys.meta_path.insert(0, Blocker())
 BOUND = """
 import numpy as np
 import mitsuba_crb
-from mitsuba_crb import bound, bundle, consistency, coupled, errors, identifiability, information, inverse
-from mitsuba_crb import coordinates, hcr, joint, pixel_information, prior, regularised
-from mitsuba_crb import noise, se3, symmetric, ustatistic
-from mitsuba_crb import covariance_intersection, entry_noise, fusion, information_filter, joint_state, message
-from mitsuba_crb import message_layout, pose_graph, quantisation, shared_nuisance, significance
-from mitsuba_crb import criteria, greedy, relaxation, selection, team, tile_grid, tiles
+import importlib
+import pkgutil
+from mitsuba_crb import camera, errors, files, message, noise, processes, se3
+
+for package in ("noise", "information", "bound", "agents"):
+    folder = importlib.import_module(f"mitsuba_crb.{package}")
+    for module in pkgutil.iter_modules(folder.__path__):
+        importlib.import_module(f"mitsuba_crb.{package}.{module.name}")
+from mitsuba_crb.information.image_jacobian import PixelSelection
 
 J = np.random.default_rng(0).normal(size=(4, 64, 3, 6))
 J[:] = J[0]
 pixels = np.stack(np.divmod(np.arange(64), 8), axis=1)
-selection = information.PixelSelection("all", 64, 64, "all")
+selection = PixelSelection("all", 64, 64, "all")
 jacobian = mitsuba_crb.ImageJacobian(
     J, pixels, np.zeros((8, 8, 3)), "camera", np.eye(4), selection, 1.0, "camera"
 )

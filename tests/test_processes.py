@@ -16,7 +16,7 @@ from small_scenes import camera, scene, wall
 
 from mitsuba_crb import pose_bound, processes
 from mitsuba_crb.noise import Gaussian
-from mitsuba_crb.render.scene import use_mitsuba
+from mitsuba_crb.render.backend import use_mitsuba
 
 PARENT = """
 import os, time

@@ -2,7 +2,7 @@
 
     python benchmarks/paper/calibration.py     # half an hour on 2 cores; writes CSV and PNG beside it
 
-Trials of Gauss–Newton (`mitsuba_crb.estimate.trials`) at 32 x 24 pixels, starts within 0.2 degrees and 1 cm, in
+Trials of Gauss–Newton (`mitsuba_crb.estimate.trials`) at 32 x 24 pixels, starts within 0.2 degrees and 1 cm
 `textured_room` (high texture) and `plain_room` (low texture). Both show direct light only, here by four
 samples of the window per path. Trials are kept in `trials/` as they end; the same command resumes there.
 `calibration.csv` has what is judged, with bands, beside the bound of the noise and, as a negative control, of

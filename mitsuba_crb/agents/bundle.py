@@ -28,8 +28,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
 from .. import se3
+from ..camera import Camera
 from ..errors import PointsError
-from ..information.fisher import FisherInformation, PixelSelection
+from ..information.fisher import FisherInformation
+from ..information.image_jacobian import PixelSelection
 from ..information.significance import no_information
 from ..se3 import Array
 from .pose_graph import JointPoseInformation, PoseGraph
@@ -41,45 +43,6 @@ FEWEST_POINTS = 3
 _UNMEASURED = 1e-12
 
 
-@dataclass(frozen=True)
-class Pinhole:
-    """Intrinsics of a perspective camera without distortion, its image in pixels from the upper left corner.
-
-    The camera's axes are Mitsuba's, x left and y up, the image's x right and y down: u = c − f (x, y) / z.
-    """
-
-    focal: tuple[float, float]
-    """Focal lengths along x and y [pixel]."""
-    centre: tuple[float, float]
-    """The principal point [pixel]; the first pixel's centre is at (0.5, 0.5)."""
-
-    def project(self, points: ArrayLike) -> Array:
-        """Film positions (n, 2) [pixel] of points (n, 3) in the camera's frame."""
-        p = np.asarray(points, dtype=np.float64)
-        return np.asarray(self.centre) - np.asarray(self.focal) * p[:, :2] / p[:, 2:]
-
-    def slope(self, points: ArrayLike) -> Array:
-        """∂π/∂p at points (n, 3) in the camera's frame: (n, 2, 3) [pixel / scene unit]."""
-        p = np.asarray(points, dtype=np.float64)
-        slope = np.zeros((len(p), 2, 3))
-        for axis, f in enumerate(self.focal):
-            slope[:, axis, axis] = -f / p[:, 2]
-            slope[:, axis, 2] = f * p[:, axis] / p[:, 2] ** 2
-        return slope
-
-    def flow(self, points: ArrayLike) -> Array:
-        """∂u/∂ξ = ∂π/∂p [−1, [p]×] of points (n, 3) in the camera's frame: (n, 2, 6) [pixel / twist]."""
-        p = np.asarray(points, dtype=np.float64)
-        slope = self.slope(p)
-        # rᵀ[p]× = (r × p)ᵀ
-        return np.concatenate([-slope, np.cross(slope, p[:, None])], axis=2)
-
-    def directions(self, film: ArrayLike) -> Array:
-        """The points (n, 3) at depth one in the camera's frame whose images are at (n, 2) [pixel]."""
-        xy = (np.asarray(self.centre) - np.asarray(film, dtype=np.float64)) / np.asarray(self.focal)
-        return np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
-
-
 @dataclass(frozen=True, eq=False)
 class PointView:
     """One camera that sees points, and how well."""
@@ -88,8 +51,8 @@ class PointView:
     """The camera's name."""
     pose: Array
     """world_from_camera, (4, 4)."""
-    camera: Pinhole
-    """Its intrinsics, known."""
+    camera: Camera
+    """Its intrinsics, known; a pinhole."""
     noise: ArrayLike
     """Standard deviation [pixel], one for all points or (n,), or covariances (n, 2, 2) [pixel²]."""
     seen: NDArray[np.integer] | None = None

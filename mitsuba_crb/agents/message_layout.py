@@ -51,7 +51,7 @@ from scipy.spatial.transform import Rotation
 
 from .. import se3
 from ..errors import MessageError
-from ..information.fisher import PixelSelection
+from ..information.image_jacobian import PixelSelection
 from ..se3 import Array, Frame
 from .entry_noise import LARGEST_INFLATION, NoiseBound
 from .quantisation import (

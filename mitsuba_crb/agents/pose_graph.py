@@ -36,8 +36,9 @@ from scipy.sparse.csgraph import connected_components
 
 from .. import se3
 from ..errors import FusionError
-from ..information.fisher import FisherInformation, PixelSelection
+from ..information.fisher import FisherInformation
 from ..information.identifiability import FLOAT32_FLOOR
+from ..information.image_jacobian import PixelSelection
 from ..information.significance import positive_semi_definite, refuse_negative, scaled_covariance
 from ..se3 import Array
 from .joint_state import JointState

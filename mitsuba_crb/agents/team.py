@@ -39,7 +39,6 @@ from typing import Any
 import numpy as np
 
 from .. import noise, se3
-from ..cli.arguments import as_pose
 from ..errors import ConfigError, NoiseError, PoseError
 from ..files import read_toml
 from ..noise import NoiseModel
@@ -213,7 +212,7 @@ def _pose(table: Mapping[str, Any], key: str, where: str) -> Array | None:
     if key not in table:
         return None
     try:
-        return as_pose(table[key])
+        return se3.pose_from_numbers(table[key])
     except PoseError as error:
         raise PoseError(f"{where}: {key}: {error}") from None
 

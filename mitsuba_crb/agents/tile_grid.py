@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError
-from ..information.fisher import MINIMUM_BATCHES
+from ..information.accumulate import MINIMUM_BATCHES
 from ..information.symmetric import unpack
 from ..information.ustatistic import square_root, unit_grams, unit_products, whiten
 from ..se3 import Array

@@ -1,0 +1,1 @@
+"""The Cramér–Rao bound and its kin: inverse, priors, coordinates, displacements, optimality, consistency."""

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import se3
+from ..camera import Camera
 from ..errors import OptionError
 from ..information.fisher import FisherInformation
 from ..information.identifiability import SMALLEST_SHARE
@@ -191,16 +192,15 @@ def chapman_robbins(changes: ArrayLike, inner: ArrayLike) -> Array:
     return covariance
 
 
-def axis_displacements(motions: ArrayLike, focal: float, radius: float, length_scale: float) -> Array:
+def axis_displacements(motions: ArrayLike, camera: Camera, length_scale: float) -> Array:
     """(m, 6): both ways along and about the camera's three axes, so that the image moves by given distances.
 
     Args:
         motions: image motions [pixel].
-        focal: focal length [pixel].
-        radius: distance from the image's centre at which a roll or an advance moves by them [pixel].
+        camera: whose image moves.
         length_scale: depth at which a translation moves by them [scene unit].
     """
-    angles = np.divide.outer(np.asarray(motions, dtype=np.float64), [focal, focal, radius])
+    angles = camera.angles(motions)
     steps = np.concatenate([length_scale * angles, angles], axis=1)
     one_way = (steps[:, :, None] * np.eye(6)).reshape(-1, 6)
     return np.concatenate([one_way, -one_way])

@@ -22,11 +22,12 @@ import typer
 
 from .. import __version__
 from ..errors import MitsubaCRBError, OptionError, OutputError
+from ..measure.options import CHECKING, VALIDATING, MeasurementOptions
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from ..measure.measurement import TileJacobian
+    from ..measure.tile_jacobian import TileJacobian
 
 INTERNAL_ERROR = 70
 
@@ -150,7 +151,7 @@ def _view_options(
 
 def _check_targets(targets: dict[str, Path | None], inputs: list[Path], resumed: str = "") -> None:
     """Every output can be written, no two are one file, none is an input or, but for one, holds trials."""
-    from ..export.documents import check_target
+    from ..export.targets import check_target
 
     taken: dict[str, str] = {}
     for option, path in targets.items():
@@ -188,10 +189,10 @@ def bound(
     scene: Scene,
     sensor: Sensor = "0",
     pose: Pose = None,
-    method: Method = "flow",
-    spp: Spp = 64,
-    seed: Seed = 0,
-    batches: Batches = 4,
+    method: Method = MeasurementOptions.method,
+    spp: Spp = MeasurementOptions.spp,
+    seed: Seed = MeasurementOptions.seed,
+    batches: Batches = MeasurementOptions.batches,
     size: Size = None,
     define: Define = None,
     sigma: Sigma = None,
@@ -288,9 +289,11 @@ def bound(
 
         known = load_prior(prior) if prior else None
 
-        from ..export.documents import Gathering, bound_document, write_exr, write_json
+        from ..export.documents import bound_document, write_json
+        from ..export.exr import write_exr
         from ..measure.displaced import hcr_bound
-        from ..measure.measurement import pose_bound
+        from ..measure.pictures import Gathering
+        from ..measure.pose import pose_bound
         from ..render.scene import load_scene
         from ..show.terminal import print_bound, print_hcr, progress
 
@@ -369,9 +372,9 @@ def check(
         list[str] | None,
         typer.Option(metavar="M", help="Method to check, repeatable; default: flow and forward."),
     ] = None,
-    spp: Spp = 256,
-    seed: Seed = 0,
-    batches: Batches = 8,
+    spp: Spp = CHECKING["spp"],
+    seed: Seed = MeasurementOptions.seed,
+    batches: Batches = CHECKING["batches"],
     size: Size = None,
     define: Define = None,
     debug: Debug = False,
@@ -386,12 +389,12 @@ def check(
         options = _view_options(sensor, pose, size, spp, seed, batches)
         defines = parse_defines(define)
 
-        from ..measure.check import DEFAULT_METHODS, check_jacobian
+        from ..measure.check import CHECKED, check_jacobian
         from ..render.scene import load_scene
         from ..show.terminal import print_check, progress
 
         with _collected() as texts, progress():
-            methods = tuple(method or DEFAULT_METHODS)
+            methods = tuple(method or CHECKED)
             result = check_jacobian(load_scene(scene, **defines), methods=methods, **options)
         print_check(_console(), result, texts)
         return int(result.exit_code)
@@ -455,7 +458,8 @@ def select(
         limits = Budget(tiles=budget, tiles_per_agent=per_agent, bytes=size)
         _check_targets({"--json": json_file}, [config, *(member.scene for member in team.members)])
 
-        from ..export.documents import check_folder, selection_document, write_json
+        from ..export.documents import selection_document, write_json
+        from ..export.targets import check_folder
         from ..measure.teams import select_team
         from ..show.terminal import print_selection, progress
 
@@ -493,9 +497,9 @@ def validate(
     levels: Annotated[
         int, typer.Option(metavar="L", help="Halvings of the image that a search begins with.")
     ] = 0,
-    spp: Spp = 256,
-    seed: Seed = 0,
-    batches: Batches = 4,
+    spp: Spp = VALIDATING["spp"],
+    seed: Seed = MeasurementOptions.seed,
+    batches: Batches = MeasurementOptions.batches,
     size: Size = None,
     define: Define = None,
     workers: Workers = None,

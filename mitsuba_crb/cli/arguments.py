@@ -61,28 +61,9 @@ def parse_pose(text: str | None) -> npt.NDArray[np.float64] | None:
         return se3.pose_from_vector(text)
     values = _read(file)
     try:
-        return as_pose(values)
+        return se3.pose_from_numbers(values)
     except PoseError as error:
         raise PoseError(f"--pose {file}: {error}") from error
-
-
-def as_pose(values: Any) -> npt.NDArray[np.float64]:
-    """A pose, 4x4, from nested lists of 16 numbers, or from the seven x y z qx qy qz qw.
-
-    Raises:
-        PoseError: something else, or no rigid motion.
-    """
-    from .. import se3
-
-    try:
-        array = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise PoseError("this is neither a 4x4 matrix nor seven numbers x y z qx qy qz qw") from error
-    if array.size == 7:
-        return se3.pose_from_vector(array.ravel())
-    if array.size != 16:
-        raise PoseError(f"expected a 4x4 matrix or seven numbers x y z qx qy qz qw, got {array.size} numbers")
-    return se3.as_pose(array.reshape(4, 4))
 
 
 def parse_displacements(file: Path | None) -> npt.NDArray[np.float64] | None:

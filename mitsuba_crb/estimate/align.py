@@ -33,12 +33,16 @@ from numpy.typing import ArrayLike, NDArray
 from .. import se3
 from ..bound.cramer_rao import PoseBound, cramer_rao_bound
 from ..errors import AlignmentError, NoiseError, OutOfViewError, PrecisionWarning
-from ..information.fisher import ImageJacobian, as_noise_model, fisher_information
+from ..information.accumulate import as_noise_model, fisher_information
+from ..information.image_jacobian import ImageJacobian
 from ..information.subset import selected
-from ..measure.measurement import Measurement, MeasurementOptions, measurement
+from ..jacobian.method import Paths
+from ..measure.measurement import Measurement, measurement
+from ..measure.options import MeasurementKeywords
 from ..noise import CoupledNoise, IndependentNoise, NoiseModel
 from ..render.lending import in_turn
-from ..render.scene import as_scene, open_view
+from ..render.scene import as_scene
+from ..render.view import open_view
 from ..se3 import Array
 from .reduction import pyramid
 
@@ -118,7 +122,7 @@ def align(
     anchor: Anchor | None = None,
     learning_rate: float = 0.01,
     batch_pixels: int = 512,
-    **options: Unpack[MeasurementOptions],
+    **options: Unpack[MeasurementKeywords],
 ) -> Alignment:
     """Estimate the pose that an image was taken from.
 
@@ -158,7 +162,7 @@ def align(
             options["pixels"], words = run.mask, run.selection.description
         left = run.mask[..., None] & np.isfinite(measured).all(axis=2, keepdims=True)
         for small, of_small in pyramid(np.where(left, measured, np.nan), model, levels):
-            coarse: MeasurementOptions = {
+            coarse: MeasurementKeywords = {
                 **options,
                 "size": (small.shape[1], small.shape[0]),
                 "pixels": None,
@@ -224,9 +228,9 @@ class _Search:
     def anchor(self, pose: Array) -> Anchor:
         """A render of many paths from here."""
         run = self.run
-        batches = np.full((run.batches, *run.mask.shape, 3), np.nan)
-        spp = ANCHOR_SPP * run.spp // run.batches
-        values = self._render(pose, spp, run.batches, run.seed + 1)
+        paths = Paths(ANCHOR_SPP * run.options.spp, run.options.seed + 1, run.options.batches)
+        batches = np.full((paths.batches, *run.mask.shape, 3), np.nan)
+        values = run.render(self.pixels, _RENDER, paths=paths, pose=pose)
         batches[:, self.pixels[:, 1], self.pixels[:, 0]] = values
         return Anchor(pose, batches)
 
@@ -245,16 +249,8 @@ class _Search:
     def expected(self, pose: Array) -> Array:
         """(K, n, 3), K independent estimates of R(x); the last render is kept."""
         if self.rendered is None or not np.array_equal(pose, self.rendered[0]):
-            batches, run = self.run.batches, self.run
-            self.rendered = pose, self._render(pose, run.spp // batches, batches, run.seed)
+            self.rendered = pose, self.run.render(self.pixels, _RENDER, pose=pose)
         return self.rendered[1] + self.correction
-
-    def _render(self, pose: Array, spp: int, batches: int, seed: int) -> Array:
-        from ..render.pixels import render_pixels
-
-        return render_pixels(
-            self.run.view, self.pixels, spp=spp, batches=batches, seed=seed, pose=pose, purpose=_RENDER
-        )
 
     def differentiate(self, pose: Array) -> None:
         """Measure J anew where the image has moved since it last was."""
@@ -288,7 +284,7 @@ class _Search:
         """How far the image moves between two poses, about [pixel]."""
         twist = se3.log(se3.inverse(a) @ b)
         moved = np.linalg.norm(twist[:3]) / self.run.length_scale + np.linalg.norm(twist[3:])
-        return float(moved) * self.run.view.focal_pixels
+        return float(moved) * self.run.view.camera.focal_length
 
     def gradient(self, image: Array) -> Array:
         """JᵀW of an image or a difference of images (n, 3)."""
@@ -353,14 +349,14 @@ class _Search:
 
     def adam(self, pose: Array, rate: float, count: int, iterations: int) -> tuple[Array, Status, int]:
         """Adam on the twist, from random batches of pixels."""
-        rng = np.random.default_rng(self.run.seed)
+        rng = np.random.default_rng(self.run.options.seed)
         scale = np.array([self.run.length_scale] * 3 + [1.0] * 3)
         first, second = np.zeros(6), np.zeros(6)
         for iteration in range(1, iterations + 1):
             chosen = np.sort(rng.permutation(len(self.pixels))[:count])
             part = np.zeros_like(self.run.mask)
             part[self.pixels[chosen, 1], self.pixels[chosen, 0]] = True
-            here = dataclasses.replace(self.run.at(pose).only(part), seed=self.run.seed + iteration)
+            here = self.run.at(pose, seed=self.run.options.seed + iteration).only(part)
             values, weights, _ = self._rows(
                 here.jacobian(pilot=self.noise.depends_on_mean), self.pixels[chosen]
             )

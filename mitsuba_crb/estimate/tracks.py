@@ -22,7 +22,7 @@ corners and centres of circular features", 1987; Shi and Tomasi, "Good features 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import Any, Unpack
 
 import drjit as dr
 import numpy as np
@@ -31,19 +31,22 @@ from scipy import ndimage
 from skimage.feature import corner_peaks, corner_shi_tomasi
 
 from .. import se3
-from ..agents.bundle import FEWEST_POINTS, Pinhole, PointView, point_information
+from ..agents.bundle import FEWEST_POINTS, PointView, point_information
+from ..camera import Camera
 from ..errors import NoiseError, OptionError, PixelsError, PointsError, SensorError
-from ..information.fisher import FisherInformation, InformationAccumulator
+from ..information.accumulate import InformationAccumulator
+from ..information.fisher import FisherInformation
 from ..information.symmetric import unpack
 from ..information.ustatistic import pixel_products, square_root, whiten
-from ..measure.measurement import Measurement, MeasurementOptions, TileJacobian, measurement
+from ..measure.measurement import Measurement, measurement
+from ..measure.options import MeasurementKeywords
+from ..measure.tile_jacobian import TileJacobian
 from ..noise import CoupledNoise, NoiseModel
+from ..render.arrays import download, upload
 from ..render.lending import in_turn
-from ..render.pixels import camera_ray, download, move_ray, opaque_transform, upload
+from ..render.rays import camera_ray, move_ray, opaque_transform
+from ..render.view import View
 from ..se3 import Array
-
-if TYPE_CHECKING:
-    from ..render.scene import View
 
 HALF_WINDOW = 3
 """Windows reach this many pixels to each side, 7 x 7 by default."""
@@ -87,7 +90,7 @@ def feature_tracks(
     *,
     most: int = 200,
     half_window: int = HALF_WINDOW,
-    **options: Unpack[MeasurementOptions],
+    **options: Unpack[MeasurementKeywords],
 ) -> FeatureTracks:
     """Texture corners of a view, lifted to 3D, each with the pixel noise that its window gives it.
 
@@ -111,7 +114,8 @@ def feature_tracks(
     if most < FEWEST_POINTS:
         raise OptionError(f"a pose needs at least {FEWEST_POINTS} corners; got most = {most}")
     with measurement(scene, **options) as run:
-        windows = _Windows.of(run, noise, half_window)
+        view = _scene_view(run)
+        windows = _Windows.of(run, view, noise, half_window)
         peaks = corner_peaks(
             np.where(windows.usable, corner_shi_tomasi(windows.image, sigma=half_window / 2.0), 0.0),
             min_distance=2 * half_window,
@@ -128,7 +132,7 @@ def feature_tracks(
                 f"found {kept.sum()} corners, and a pose needs at least {FEWEST_POINTS}: too little texture "
                 "away from outlines, or windows too large for so few pixels (half_window, size)"
             )
-        points, _ = _hits(run.view, corners[kept])
+        points, _ = _hits(view, corners[kept])
     centres = np.zeros(windows.usable.shape, dtype=bool)
     centres[tuple(peaks[kept].T)] = True
     return FeatureTracks(
@@ -136,7 +140,7 @@ def feature_tracks(
         corners=corners[kept],
         pixels=pixels[kept],
         windows=ndimage.binary_dilation(centres, windows.shape),
-        view=windows.seen_by(run.view, tensors[kept]),
+        view=windows.seen_by(view, tensors[kept]),
         image_information=windows.image_information,
     )
 
@@ -148,7 +152,7 @@ def see_points(
     noise: NoiseModel | None = None,
     *,
     half_window: int = HALF_WINDOW,
-    **options: Unpack[MeasurementOptions],
+    **options: Unpack[MeasurementKeywords],
 ) -> PointView:
     """How another view sees points of the scene: which of them, and how well, for `bundle_adjustment`.
 
@@ -161,14 +165,15 @@ def see_points(
     """
     world = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     with measurement(scene, **options) as run:
-        windows = _Windows.of(run, noise, half_window)
+        view = _scene_view(run)
+        windows = _Windows.of(run, view, noise, half_window)
         p = _moved(se3.inverse(run.view.pose), world)
         seen = np.flatnonzero(p[:, 2] > 0.0)
         film = windows.camera.project(p[seen])
         inside = ((film >= 0.0) & (film < run.view.size)).all(axis=1)
         seen, film = seen[inside], film[inside]
         pixels = np.floor(film).astype(np.int64)
-        hits, _ = _hits(run.view, film)
+        hits, _ = _hits(view, film)
         open_to_view = hits[:, 2] >= (1.0 - _HIDDEN) * p[seen, 2]
         kept = open_to_view & windows.usable[pixels[:, 1], pixels[:, 0]]
     if kept.sum() < FEWEST_POINTS:
@@ -177,34 +182,39 @@ def see_points(
             f"least {FEWEST_POINTS}: choose views that overlap"
         )
     tensors, _ = windows.measure(pixels[kept])
-    return windows.seen_by(run.view, tensors, seen[kept])
+    return windows.seen_by(view, tensors, seen[kept])
 
 
-def pinhole(view: View) -> Pinhole:
-    """Intrinsics of a view's perspective camera; with a crop window, of that window.
+def _scene_view(run: Measurement) -> View:
+    """The view, whose surfaces are traced.
 
     Raises:
-        SensorError: it has a lens, which turns points into discs.
+        SensorError: it is of something else than a Mitsuba scene.
     """
-    import mitsuba as mi
+    if not isinstance(run.view, View):
+        raise SensorError(f"feature tracks need a Mitsuba scene, and {run.view.label} is none")
+    return run.view
 
-    if view.sensor.class_name() != "PerspectiveCamera":
+
+def _pinhole(view: View) -> Camera:
+    """The view's camera.
+
+    Raises:
+        SensorError: it is no pinhole.
+    """
+    if view.camera.radius > 0.0:
         raise SensorError(
             f"points need a pinhole, and sensor {view.variable!r} is a {view.sensor.class_name()}: use a "
             "perspective sensor"
         )
-    params = mi.traverse(view.sensor)
-    offset = [float(np.asarray(params[f"principal_point_offset_{axis}"]).ravel()[0]) for axis in "xy"]
-    size, crop = np.array(params["film.size"]), np.array(params["film.crop_offset"]).ravel()
-    x, y = (float(value) for value in size * (0.5 - np.array(offset)) - crop)
-    return Pinhole((view.focal_pixels,) * 2, (x, y))
+    return view.camera
 
 
 @dataclass(frozen=True, eq=False)
 class _Windows:
     """The structure tensor of a measured view, and where windows show a point of the scene."""
 
-    camera: Pinhole
+    camera: Camera
     image: Array
     """(H, W), grey."""
     image_information: FisherInformation
@@ -216,7 +226,7 @@ class _Windows:
     """(H, W), centres of windows that show one smooth, matte surface and measure both directions."""
 
     @staticmethod
-    def of(run: Measurement, noise: NoiseModel | None, half: int) -> _Windows:
+    def of(run: Measurement, view: View, noise: NoiseModel | None, half: int) -> _Windows:
         """Those of a view."""
         if half < 1:
             raise OptionError(f"windows reach at least 1 pixel to each side; got half_window = {half}")
@@ -224,7 +234,7 @@ class _Windows:
             raise PixelsError(
                 f"feature tracks need every pixel, not {run.selection.description}: leave out `pixels`"
             )
-        camera = pinhole(run.view)
+        camera = _pinhole(view)
         model, _ = run.noise(noise)
         if isinstance(model, CoupledNoise):
             raise NoiseError(
@@ -232,8 +242,7 @@ class _Windows:
                 f"not {model.description}"
             )
         height, width = run.mask.shape
-        model.check(height, width, 3)
-        accumulator = InformationAccumulator(batches=run.batches, block=run.block)
+        accumulator = InformationAccumulator(batches=run.options.batches, block=run.block)
         image = np.full((height, width), np.nan)
         tensor, variance = np.zeros((height, width, 2, 2)), np.zeros((height, width))
         for part in run.tiles(pilot=model.depends_on_mean):
@@ -243,8 +252,8 @@ class _Windows:
             image[y, x] = part.mean.mean(axis=1)
             tensor[y, x], variance[y, x] = _structure_tensors(part, camera, weights)
         # What a window's pixels see reaches beyond it by their filter's radius.
-        reach = 2 * (half + int(np.ceil(run.view.sensor.film().rfilter().radius()))) + 1
-        blocked = ndimage.binary_dilation(_unsmooth(run.view) | np.isnan(image), np.ones((reach, reach)))
+        reach = 2 * (half + int(np.ceil(view.pixel_filter.radius))) + 1
+        blocked = ndimage.binary_dilation(_unsmooth(view) | np.isnan(image), np.ones((reach, reach)))
         blocked[:half] = blocked[-half:] = blocked[:, :half] = blocked[:, -half:] = True
         side = 2 * half + 1
         total = ndimage.uniform_filter(tensor, side, axes=(0, 1), mode="constant")
@@ -278,7 +287,7 @@ class _Windows:
         return PointView(view.variable, view.pose, self.camera, np.linalg.inv(tensors), seen)
 
 
-def _structure_tensors(part: TileJacobian, camera: Pinhole, weights: Array) -> tuple[Array, Array]:
+def _structure_tensors(part: TileJacobian, camera: Camera, weights: Array) -> tuple[Array, Array]:
     """∇I Σ⁻¹ ∇Iᵀ at every pixel, the mean over pairs of batches, and the variance of its noise.
 
     Returns:

@@ -30,9 +30,12 @@ from ..bound.consistency import Consistency, consistency
 from ..bound.cramer_rao import PoseBound, cramer_rao_bound
 from ..errors import OutOfViewError, PrecisionWarning, TrialError
 from ..files import atomic, read_json
-from ..information.fisher import ImageJacobian, fisher_information
+from ..information.accumulate import fisher_information
+from ..information.image_jacobian import ImageJacobian
 from ..information.subset import selected
-from ..measure.measurement import MeasurementOptions, measurement
+from ..jacobian.method import Paths
+from ..measure.measurement import measurement
+from ..measure.options import VALIDATING, MeasurementKeywords
 from ..noise import Gaussian
 from ..processes import each
 from ..render.fingerprint import fingerprint, mask_fingerprint
@@ -42,7 +45,6 @@ from ..se3 import Array
 from .align import Anchor, Status, align
 
 SCHEMA = "mitsuba-crb/validate/1"
-DEFAULT_SPP = 256
 
 _MEASURED = ("sensor", "method", "seed", "batches", "size", "drop_invalid", "step_pixels", "versions")
 """What of the settings the expected image's provenance says."""
@@ -149,7 +151,7 @@ class _Setup:
     anchor: Anchor
     sigma: float
     settings: dict[str, Any]
-    options: MeasurementOptions
+    options: MeasurementKeywords
 
 
 def validate(
@@ -168,7 +170,7 @@ def validate(
     resume: Path | None = None,
     on_trial: Progress | None = None,
     defines: Mapping[str, str] | None = None,
-    **options: Unpack[MeasurementOptions],
+    **options: Unpack[MeasurementKeywords],
 ) -> Validation:
     """Run trials and compare their errors with the bound.
 
@@ -186,8 +188,8 @@ def validate(
             its trials are kept, be they more than `trials`, and new ones are written to it as they end.
         on_trial: called after each trial.
         defines: the scene file's `<default>`s.
-        options: see `MeasurementOptions`; `spp` is 256 by default. The bound is that of the pixels that
-            `pixels` chooses, which are all that the estimator has.
+        options: see `MeasurementOptions`; defaults in `options.VALIDATING`. The bound is that of the pixels
+            that `pixels` chooses, which are all that the estimator has.
 
     Raises:
         TrialError: too few trials, a resume file of other settings, or too few that did not fail.
@@ -198,7 +200,7 @@ def validate(
     if perturb_deg < 0.0 or perturb_trans < 0.0:
         raise TrialError("perturb_deg and perturb_trans must not be negative")
     record = _recorded(resume)
-    options = {"spp": DEFAULT_SPP, **options}
+    options = {**VALIDATING, **options}
     named = dict(defines or {})
     loaded = load_scene(scene, **named) if isinstance(scene, str | Path) else scene
     anchor, jacobian, chosen, names = _expected(loaded, sigma, options)
@@ -242,12 +244,10 @@ def validate(
 
 @in_turn
 def _expected(
-    scene: Any, sigma: float | None, options: MeasurementOptions
+    scene: Any, sigma: float | None, options: MeasurementKeywords
 ) -> tuple[Anchor, ImageJacobian, float, dict[str, str]]:
     """The anchor at the truth, the Jacobian there, the noise, and what scene and integrator are called."""
-    from ..render.pixels import render_pixels
-
-    many: MeasurementOptions = {**options, "spp": _EXPECTED_SPP * options["spp"]}
+    many: MeasurementKeywords = {**options, "spp": _EXPECTED_SPP * options["spp"]}
     with measurement(scene, **many) as run:
         run = run.only()
         model = run.noise(None if sigma is None else Gaussian(sigma))[0]
@@ -255,9 +255,8 @@ def _expected(
             raise TrialError("trials need Gaussian noise")
         run.warn_of_limits()
         image = np.full((1, *run.mask.shape, 3), np.nan)
-        image[0, run.mask] = render_pixels(
-            run.view, selected(run.mask), spp=run.spp, seed=run.seed, purpose=_EXPECTED
-        )[0]
+        one = Paths(run.options.spp, run.options.seed, 1)
+        image[0, run.mask] = run.render(selected(run.mask), _EXPECTED, paths=one)[0]
         jacobian = run.jacobian()
         valid = np.isfinite(image[0]).all(axis=2) & np.isfinite(jacobian.image).all(axis=2)
         invalid = int((run.mask & ~valid).sum())
@@ -265,7 +264,7 @@ def _expected(
         if invalid:
             image[0, ~valid] = np.nan
             jacobian = jacobian.only(valid, f"{run.selection.description}, where the radiance is finite")
-        names = {"scene": run.view.label, "integrator": " ".join(str(run.view.integrator).split())}
+        names = {"scene": run.view.label, "integrator": run.view.provenance()["integrator"]}
         return Anchor(run.view.pose, image, jacobian), jacobian, model.sigma, names
 
 
@@ -296,7 +295,7 @@ def _trial(setup: _Setup, scene: Any, index: int) -> Trial:
             ]
         )
     )
-    options: MeasurementOptions = {
+    options: MeasurementKeywords = {
         **setup.options,
         "pose": start,
         "seed": int(rng.integers(1 << 62)),

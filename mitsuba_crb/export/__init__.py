@@ -1,0 +1,1 @@
+"""What a run leaves on disk: JSON documents and OpenEXR images. Only the command imports it."""

@@ -34,17 +34,11 @@ from .. import se3
 from ..errors import NuisanceError, OptionError, PixelsError
 from ..noise import CoupledNoise, NoiseModel
 from ..se3 import Array
-from .fisher import (
-    BLOCK,
-    FisherInformation,
-    ImageJacobian,
-    InformationAccumulator,
-    PixelSelection,
-    Sums,
-    as_noise_model,
-    feed,
-)
+from .accumulate import InformationAccumulator, Sums, as_noise_model, feed
+from .blocks import BLOCK
+from .fisher import FisherInformation
 from .identifiability import FLOAT32_FLOOR
+from .image_jacobian import ImageJacobian, PixelSelection
 
 Columns = list[int]
 

@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 
 from ..errors import FusionError
 from ..se3 import Array
-from .fisher import FisherInformation, PixelSelection
+from .fisher import FisherInformation
 from .identifiability import Identifiability, identify
+from .image_jacobian import PixelSelection
 from .symmetric import congruence, symmetrised, unpack
 
 NEGATIVE = 4.0

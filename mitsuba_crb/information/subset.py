@@ -19,7 +19,8 @@ from scipy import ndimage
 
 from ..errors import PixelsError
 from ..files import read_grey
-from .fisher import BLOCK, PixelSelection, in_squares
+from .blocks import BLOCK, in_squares
+from .image_jacobian import PixelSelection
 
 
 def everything(size: tuple[int, int]) -> PixelSelection:

@@ -8,7 +8,7 @@ and (x, y, 1) the camera-frame direction from the lens point a,
 
     f_fg − f_bg = −(w_fg − w_bg) diag(1/s) [[1, 0, −x], [0, 1, −y]] (ρ + φ × a),
 
-s the scale of `curves.Lens`. It is Reynolds' transport theorem: the contour moves with the foreground, so
+s the scale of `camera.Camera`. It is Reynolds' transport theorem: the contour moves with the foreground, so
 that a patch of background gains or loses film that its own flow does not account for. A pinhole (a = 0) that
 rotates sees none of it.
 
@@ -28,19 +28,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from ..information.fisher import BLOCK
-from ..render.pixels import download, known_integrator, lane_sampler, radiance, seeding, upload, widened
+from ..information.blocks import BLOCK
+from ..render.arrays import download, upload, widened
+from ..render.pixels import known_integrator, radiance
+from ..render.random import lane_sampler, seeding
 from .silhouettes import Contours, Sides, find_contours, look
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     import mitsuba as mi
 
-    from ..render.scene import View
+    from ..render.view import View
     from .curves import Placed
+    from .method import Paths
 
-__all__ = ["Contours", "find_contours", "parallax_steps"]
+__all__ = ["Contours", "ParallaxTerm", "find_contours"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -53,52 +54,64 @@ _CHUNK = 1 << 19
 """Samples held at once, about."""
 
 
-def parallax_steps(
-    view: View,
-    contours: Contours,
-    pixels: Ints,
-    baseline: Floats,
-    *,
-    spp: int,
-    seed: int,
-    batches: int,
-) -> Iterator[Any]:
-    """Estimate the parallax term of dI/dξ in the camera frame, in three steps; the last one's item is it.
+class ParallaxTerm:
+    """The parallax term of dI/dξ in the camera frame at some pixels, on its way (see `method.Tile`)."""
 
-    The first starts paths in the background, the second waits for them, the third sums up.
+    def __init__(self, view: View, contours: Contours, pixels: Ints, baseline: Floats, paths: Paths) -> None:
+        """Of the view's contours, nothing started yet.
 
-    Args:
-        contours: of this view, from `find_contours`.
-        pixels: (n, 2) columns and rows; those of one block must come in one call.
-        baseline: (n, 3) Ī_u, any constants near the image that do not come from these random numbers.
-        spp: paths per pixel over all batches that the other terms trace; sets the number of samples here.
+        Args:
+            contours: of this view, from `find_contours`.
+            pixels: (n, 2) columns and rows; those of one block must come in one call.
+            baseline: (n, 3) Ī_u, any constants near the image that do not come from these random numbers.
+            paths: those of the other terms; they set the number of samples here.
+        """
+        of_pixel = pixels[:, 1] // BLOCK * contours.columns + pixels[:, 0] // BLOCK
+        blocks = np.unique(of_pixel[contours.samples[of_pixel] > 0.0])
+        count = np.ceil(contours.samples[blocks] * (paths.spp / paths.batches)).astype(np.int64)
+        chunk = np.cumsum(count * paths.batches) // _CHUNK
+        self._parts: list[tuple[Ints, _BlocksTerm]] = []
+        for which in np.unique(chunk):
+            part = blocks[chunk == which]
+            mine = np.flatnonzero(np.isin(of_pixel, part))
+            term = _BlocksTerm(
+                view, contours, part, count[chunk == which], pixels[mine], baseline[mine], paths
+            )
+            self._parts.append((mine, term))
+        self._rows = [np.empty(0, dtype=np.int64)]
+        self._terms = [np.empty((paths.batches, 0, 3, 6))]
 
-    Returns:
-        In the last step: which pixels contours touch (t,), and the term there (batches, t, 3, 6), independent
-        from batch to batch and from block to block [radiance / scene unit, radiance / rad].
-    """
-    of_pixel = pixels[:, 1] // BLOCK * contours.columns + pixels[:, 0] // BLOCK
-    blocks = np.unique(of_pixel[contours.samples[of_pixel] > 0.0])
-    count = np.ceil(contours.samples[blocks] * (spp / batches)).astype(np.int64)
-    chunk = np.cumsum(count * batches) // _CHUNK
-    rows, terms = [np.empty(0, dtype=np.int64)], [np.empty((batches, 0, 3, 6))]
-    last = chunk[-1] if len(chunk) else 0
-    for which in np.unique(chunk):
-        part = blocks[chunk == which]
-        mine = np.flatnonzero(np.isin(of_pixel, part))
-        steps = _block_steps(
-            view, contours, part, count[chunk == which], pixels[mine], baseline[mine], seed, batches
-        )
-        for _ in range(2):
-            next(steps)
-            if which == last:
-                yield
-        touched, sums = next(steps)
-        rows.append(mine[touched])
-        terms.append(sums)
-    if not len(chunk):
-        yield from (None, None)
-    yield np.concatenate(rows), np.concatenate(terms, axis=1)
+    def launch(self) -> None:
+        """Start paths in the background; of more samples than are held at once, all but the last are done."""
+        while len(self._parts) > 1:
+            self._start()
+            self.wait()
+            self._finish()
+        self._start()
+
+    def wait(self) -> None:
+        """Until they are traced."""
+        for _, term in self._parts[:1]:
+            term.wait()
+
+    def result(self) -> tuple[Ints, Floats]:
+        """Which pixels contours touch (t,), and the term there (batches, t, 3, 6).
+
+        Independent from batch to batch and from block to block [radiance / scene unit, radiance / rad].
+        """
+        self._finish()
+        return np.concatenate(self._rows), np.concatenate(self._terms, axis=1)
+
+    def _start(self) -> None:
+        for _, term in self._parts[:1]:
+            term.launch()
+
+    def _finish(self) -> None:
+        for mine, term in self._parts[:1]:
+            touched, sums = term.result()
+            self._rows.append(mine[touched])
+            self._terms.append(sums)
+        del self._parts[:1]
 
 
 @dataclass(frozen=True)
@@ -123,72 +136,85 @@ class _Samples:
         return _Samples(*(getattr(self, field.name)[index] for field in fields(self)))
 
 
-def _block_steps(
-    view: View,
-    contours: Contours,
-    blocks: Ints,
-    count: Ints,
-    pixels: Ints,
-    baseline: Floats,
-    seed: int,
-    batches: int,
-) -> Iterator[Any]:
-    """Which of some blocks' pixels contours touch, and their term (batches, t, 3, 6), as `parallax_steps`.
+class _BlocksTerm:
+    """The parallax term of some blocks' pixels, of as many samples as are held at once."""
 
-    Args:
-        count: samples per block and batch.
-    """
-    slot = _slots(contours, blocks, pixels)
-    samples = _draw(contours, blocks, count, seed, batches)
-    samples = samples.part(_near(contours, slot, blocks, samples))
+    def __init__(
+        self,
+        view: View,
+        contours: Contours,
+        blocks: Ints,
+        count: Ints,
+        pixels: Ints,
+        baseline: Floats,
+        paths: Paths,
+    ) -> None:
+        """Of `count` samples per block and batch."""
+        self._view, self._contours, self._paths = view, contours, paths
+        self._blocks, self._count, self._baseline = blocks, count, baseline
+        self._slot = _slots(contours, blocks, pixels)
+        self._looked: Any = None
 
-    # Where they land, and which of them touch a selected pixel.
-    piece, start = contours.piece[samples.pair], contours.cumulative[samples.pair]
-    share = contours.cumulative[samples.pair + 1] - start
-    u = np.clip((samples.target - start) / share, 0.0, 1.0)
-    placed = contours.place(piece, u, samples.point, contours.reach(blocks[samples.owner]))
-    rows, offset = _footprint(contours, slot, blocks, samples.owner, placed.film)
-    kept = np.flatnonzero((rows >= 0).any(axis=1) & (placed.length > 0.0))
-    samples, placed, piece, share = samples.part(kept), placed.part(kept), piece[kept], share[kept]
-    rows, offset = rows[kept], offset[kept]
-    if not len(kept):  # Dr.Jit does not divide empty arrays
-        yield from (None, None)
-        yield kept, np.empty((batches, 0, 3, 6))
-        return
-    sides, outside = _look(view, contours, placed, samples, blocks, seed)
-    yield
-    sides, outside = Sides(*map(np.asarray, sides)), [np.asarray(channel) for channel in outside]
-    yield
+    def launch(self) -> None:
+        """Where samples land, which of them touch a selected pixel, and what rays beside those see."""
+        contours, blocks, slot = self._contours, self._blocks, self._slot
+        samples = _draw(contours, blocks, self._count, self._paths.seed, self._paths.batches)
+        samples = samples.part(_near(contours, slot, blocks, samples))
+        piece, start = contours.piece[samples.pair], contours.cumulative[samples.pair]
+        share = contours.cumulative[samples.pair + 1] - start
+        u = np.clip((samples.target - start) / share, 0.0, 1.0)
+        placed = contours.place(piece, u, samples.point, contours.reach(blocks[samples.owner]))
+        rows, offset = _footprint(contours, slot, blocks, samples.owner, placed.film)
+        kept = np.flatnonzero((rows >= 0).any(axis=1) & (placed.length > 0.0))
+        self._samples, self._placed = samples.part(kept), placed.part(kept)
+        self._piece, self._share = piece[kept], share[kept]
+        self._rows, self._offset = rows[kept], offset[kept]
+        if len(kept):  # Dr.Jit does not divide empty arrays
+            self._looked = _look(self._view, contours, self._placed, self._samples, blocks, self._paths.seed)
 
-    # Which show.
-    jump = contours.jump(sides, placed, piece, samples.point)
-    shown = np.flatnonzero(jump > 0.0)
-    samples, placed, jump, share = samples.part(shown), placed.part(shown), jump[shown], share[shown]
-    rows, offset = rows[shown], offset[shown]
-    light = np.stack([channel[shown] for channel in outside], axis=1, dtype=np.float64)
+    def wait(self) -> None:
+        """Until they have been traced."""
+        if self._looked is not None:
+            sides, outside = self._looked
+            self._looked = Sides(*map(np.asarray, sides)), [np.asarray(channel) for channel in outside]
 
-    # (f_fg − f_bg)·m per twist component, times the film length that each sample stands for.
-    slope = placed.normal / contours.lens.scale
-    gradient = np.column_stack([-slope, np.sum(slope * placed.seen[:, :2], axis=1) / placed.seen[:, 2]])
-    gradient = np.concatenate([gradient, np.cross(samples.point, gradient)], axis=1)
-    whole = contours.cumulative[contours.first[blocks + 1]] - contours.cumulative[contours.first[blocks]]
-    gradient *= (jump * placed.length * (whole / count)[samples.owner] / share)[:, None]
-    moments = np.concatenate([gradient[:, None], light[:, :, None] * gradient[:, None]], axis=1)
+    def result(self) -> tuple[Ints, Floats]:
+        """Which of the pixels contours touch (t,), and the term there (batches, t, 3, 6)."""
+        batches = self._paths.batches
+        if self._looked is None:
+            return np.empty(0, dtype=np.int64), np.empty((batches, 0, 3, 6))
+        contours, blocks = self._contours, self._blocks
+        sides, outside = self._looked
+        jump = contours.jump(sides, self._placed, self._piece, self._samples.point)
+        shown = np.flatnonzero(jump > 0.0)
+        samples, placed = self._samples.part(shown), self._placed.part(shown)
+        jump, share = jump[shown], self._share[shown]
+        rows, offset = self._rows[shown], self._offset[shown]
+        light = np.stack([channel[shown] for channel in outside], axis=1, dtype=np.float64)
 
-    h = contours.view.pixel_filter.interpolate(offset)
-    height = (h[:, :, None, 0] * h[:, None, :, 1]).reshape(rows.shape)
-    inside = rows >= 0
-    sample = np.nonzero(inside)[0]
-    batch = samples.number % batches
-    counted = np.zeros(len(pixels), dtype=np.int64)
-    counted[rows[inside]] = 1
-    touched = np.flatnonzero(counted)
-    n, row = len(touched), np.cumsum(counted) - 1
-    matrix = csr_array(
-        (height[inside], (batch[sample] * n + row[rows[inside]], sample)), shape=(batches * n, len(shown))
-    )
-    sums = (matrix @ moments.reshape(-1, 24)).reshape(batches, n, 4, 6)
-    yield touched, np.asarray(sums[:, :, 1:] - baseline[touched, :, None] * sums[:, :, :1])
+        # (f_fg − f_bg)·m per twist component, times the film length that each sample stands for.
+        slope = placed.normal / contours.camera.scale
+        gradient = np.column_stack([-slope, np.sum(slope * placed.seen[:, :2], axis=1) / placed.seen[:, 2]])
+        gradient = np.concatenate([gradient, np.cross(samples.point, gradient)], axis=1)
+        whole = contours.cumulative[contours.first[blocks + 1]] - contours.cumulative[contours.first[blocks]]
+        gradient *= (jump * placed.length * (whole / self._count)[samples.owner] / share)[:, None]
+        moments = np.concatenate([gradient[:, None], light[:, :, None] * gradient[:, None]], axis=1)
+
+        h = contours.view.pixel_filter.interpolate(offset)
+        height = (h[:, :, None, 0] * h[:, None, :, 1]).reshape(rows.shape)
+        inside = rows >= 0
+        sample = np.nonzero(inside)[0]
+        batch = samples.number % batches
+        counted = np.zeros(len(self._baseline), dtype=np.int64)
+        counted[rows[inside]] = 1
+        touched = np.flatnonzero(counted)
+        n, row = len(touched), np.cumsum(counted) - 1
+        matrix = csr_array(
+            (height[inside], (batch[sample] * n + row[rows[inside]], sample)), shape=(batches * n, len(shown))
+        )
+        sums = (matrix @ moments.reshape(-1, 24)).reshape(batches, n, 4, 6)
+        terms = sums[:, :, 1:] - self._baseline[touched, :, None] * sums[:, :, :1]
+        return touched, np.asarray(terms)
 
 
 def _draw(contours: Contours, blocks: Ints, count: Ints, seed: int, batches: int) -> _Samples:
@@ -220,10 +246,10 @@ def _lens_points(contours: Contours, aperture: Floats) -> Floats:
     import mitsuba as mi
 
     point = np.zeros((len(aperture), 3))
-    if contours.lens.radius > 0.0:
+    if contours.camera.radius > 0.0:
         sample = mi.Point2f(*(upload(mi.Float, x) for x in widened(aperture).T))
         disk = mi.warp.square_to_uniform_disk_concentric(sample)
-        point[:, :2] = contours.lens.radius * download(disk).T[: len(aperture)]
+        point[:, :2] = contours.camera.radius * download(disk).T[: len(aperture)]
     return point
 
 

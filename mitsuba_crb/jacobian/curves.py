@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera import Camera
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -25,44 +27,6 @@ _PIECE = 16.0
 """Longest piece that a line is cut into [pixel]."""
 _BOW_PIECE = 8.0
 """Longest piece, about, that a conic is cut into [pixel]."""
-
-
-@dataclass(frozen=True)
-class Lens:
-    """Where a camera-frame point lands on the film, seen from a point a of the lens (a = 0: pinhole).
-
-    v = (p'_xy / p'_z + a_xy / focus − offset) / scale,   p' = p − a,   a_z = 0.
-    """
-
-    scale: Floats
-    """(2,) of x/z and y/z along a ray from the lens' centre, per film coordinate [1/pixel]."""
-    offset: Floats
-    """(2,) x/z and y/z at the film's origin."""
-    near: float
-    """Distance of the near plane [scene unit]."""
-    radius: float = 0.0
-    """Of the aperture [scene unit]."""
-    focus: float = np.inf
-    """Distance of the plane in focus [scene unit]."""
-
-    def project(self, seen: Floats, point: Floats) -> Floats:
-        """Film position [pixel] (n, 2) of p' = `seen` (n, 3) from lens points a = `point` (n, 3)."""
-        direction: Floats = seen[:, :2] / seen[:, 2:] + point[:, :2] / self.focus
-        film: Floats = (direction - self.offset) / self.scale
-        return film
-
-    def velocity(self, seen: Floats, moving: Floats) -> Floats:
-        """Film velocity (n, 2) of points p' (n, 3) that move by `moving` (n, 3)."""
-        velocity: Floats = (moving[:, :2] - seen[:, :2] / seen[:, 2:] * moving[:, 2:]) / seen[:, 2:]
-        return np.asarray(velocity / self.scale)
-
-    def rim(self) -> Floats:
-        """(k, 3) points whose convex hull holds the aperture."""
-        if self.radius == 0.0:
-            return np.zeros((1, 3))
-        angle = np.arange(8) * (np.pi / 4.0)
-        reach = self.radius / np.cos(np.pi / 8.0)
-        return np.asarray(reach * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1))
 
 
 EDGE, TANGENT, CIRCLE, RIM = range(4)
@@ -215,7 +179,7 @@ def place(
     u: Floats,
     point: Floats,
     box: Floats,
-    lens: Lens,
+    camera: Camera,
     edge_side: Callable[[Ints, Floats], Floats],
 ) -> Placed:
     """One point on each piece: uniform in film arc length on lines, in the parameter on conics.
@@ -235,7 +199,7 @@ def place(
     if len(i):
         part, a = curves.part(i), point[i]
         ends, inward, exists = part.lines(a)
-        ends, on_film, exists = _in_front(ends, a, exists, lens)
+        ends, on_film, exists = _in_front(ends, a, exists, camera)
         first, last = _clip(on_film, box[i])
         exists &= last > first
         s = first + u[i] * (last - first)
@@ -244,59 +208,59 @@ def place(
         depth = 1.0 / ((1.0 - s) / ends[:, 0, 2] + s / ends[:, 1, 2])
         film[i] = on_film[:, 0] + s[:, None] * along
         seen[i, 2] = depth
-        seen[i, :2] = (lens.scale * film[i] + lens.offset - a[:, :2] / lens.focus) * depth[:, None]
+        seen[i, :2] = (camera.scale * film[i] + camera.offset - a[:, :2] / camera.focus) * depth[:, None]
         direction[i] = along / np.maximum(extent, np.finfo(float).tiny)[:, None]
         length[i] = np.where(exists, extent * (last - first), 0.0)
         inner[i] = np.einsum("ij,ij->i", np.cross(ends[:, 0], ends[:, 1]), inward)
         edge = np.flatnonzero((part.kind == EDGE) & exists)
         inner[i[edge]] = edge_side(part.tag[edge], a[edge])
         # Left of `direction` on the film is where det(e₀, e₁, ·) > 0, if the film's axes are not mirrored.
-        inner[i] *= np.prod(lens.scale)
+        inner[i] *= np.prod(camera.scale)
     i = np.flatnonzero(~curves.straight)
     if len(i):
         part, a = curves.part(i), point[i]
         width = part.span[:, 1] - part.span[:, 0]
         p, turn, inward, exists = part.bows(part.span[:, 0] + u[i] * width, a)
-        exists &= p[:, 2] > lens.near
+        exists &= p[:, 2] > camera.near
         p[~exists] = [0.0, 0.0, 1.0]
-        velocity = lens.velocity(p, turn)
+        velocity = camera.velocity(p, turn)
         speed = np.linalg.norm(velocity, axis=1)
-        film[i], seen[i] = lens.project(p, a), p
+        film[i], seen[i] = camera.project(p, a), p
         direction[i] = velocity / np.maximum(speed, np.finfo(float).tiny)[:, None]
         length[i] = np.where(exists, speed * width, 0.0)
-        toward = lens.velocity(p, inward)
+        toward = camera.velocity(p, inward)
         inner[i] = direction[i, 0] * toward[:, 1] - direction[i, 1] * toward[:, 0]
     normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1) * np.sign(inner)[:, None]
     return Placed(film, normal, seen, np.where(inner == 0.0, 0.0, length))
 
 
-def cut(curves: Curves, lens: Lens, frame: Floats) -> Curves:
+def cut(curves: Curves, camera: Camera, frame: Floats) -> Curves:
     """Pieces of curves, short on the film, that may land in a rectangle of it; what lies behind is left out.
 
     Args:
         frame: (4,) film rectangle x0 y0 x1 y1 [pixel].
     """
     line, bow = (curves.part(np.flatnonzero(which)) for which in (curves.straight, ~curves.straight))
-    return Curves.join([_cut_lines(line, lens, frame), _cut_bows(bow, lens, frame)])
+    return Curves.join([_cut_lines(line, camera, frame), _cut_bows(bow, camera, frame)])
 
 
-def bounds(curves: Curves, lens: Lens) -> tuple[Floats, Floats]:
+def bounds(curves: Curves, camera: Camera) -> tuple[Floats, Floats]:
     """Film rectangle (n, 4) that holds each piece from every lens point, and its length (n,) [pixel]."""
     low, high = np.full((len(curves), 2), np.inf), np.full((len(curves), 2), -np.inf)
     length = np.zeros(len(curves))
     line = curves.straight
-    for rim in lens.rim():
+    for rim in camera.rim():
         a = np.broadcast_to(rim, (len(curves), 3))
         points = np.empty((len(curves), 3, 2))
         part = curves.part(np.flatnonzero(line))
         ends, _, exists = part.lines(a[line])
-        points[line, ::2] = _in_front(ends, a[line], exists, lens)[1]
+        points[line, ::2] = _in_front(ends, a[line], exists, camera)[1]
         points[line, 1] = points[line, ::2].mean(axis=1)
         part = curves.part(np.flatnonzero(~line))
         for j, t in enumerate((part.span[:, 0], part.span.mean(axis=1), part.span[:, 1])):
             p = part.bows(t, a[~line])[0]
-            p[:, 2] = np.maximum(p[:, 2], lens.near)
-            points[~line, j] = lens.project(p, a[~line])
+            p[:, 2] = np.maximum(p[:, 2], camera.near)
+            points[~line, j] = camera.project(p, a[~line])
         # A conic leaves its chords by about the sagitta that its middle shows.
         bend = 2.0 * np.abs(points[:, 1] - points[:, ::2].mean(axis=1)) + 0.01
         low, high = np.minimum(low, points.min(axis=1) - bend), np.maximum(high, points.max(axis=1) + bend)
@@ -304,18 +268,18 @@ def bounds(curves: Curves, lens: Lens) -> tuple[Floats, Floats]:
     return np.concatenate([low, high], axis=1), length
 
 
-def _in_front(ends: Floats, point: Floats, exists: Bools, lens: Lens) -> tuple[Floats, Floats, Bools]:
+def _in_front(ends: Floats, point: Floats, exists: Bools, camera: Camera) -> tuple[Floats, Floats, Bools]:
     """Lines (n, 2, 3) clipped to the near plane, their ends on the film (n, 2, 2), and which remain."""
     z = ends[..., 2]
-    exists = exists & (z.max(axis=1, initial=-np.inf) > lens.near)
+    exists = exists & (z.max(axis=1, initial=-np.inf) > camera.near)
     with np.errstate(divide="ignore", invalid="ignore"):
-        crossing = (lens.near - z[:, 0]) / (z[:, 1] - z[:, 0])
-    cutting = exists & (z.min(axis=1, initial=np.inf) < lens.near)
+        crossing = (camera.near - z[:, 0]) / (z[:, 1] - z[:, 0])
+    cutting = exists & (z.min(axis=1, initial=np.inf) < camera.near)
     middle = ends[:, 0] + np.where(cutting, crossing, 0.0)[:, None] * (ends[:, 1] - ends[:, 0])
-    ends = np.where((cutting[:, None] & (z < lens.near))[..., None], middle[:, None], ends)
+    ends = np.where((cutting[:, None] & (z < camera.near))[..., None], middle[:, None], ends)
     ends[~exists] = [0.0, 0.0, 1.0]
-    ends[..., 2] = np.maximum(ends[..., 2], lens.near)
-    return ends, np.stack([lens.project(ends[:, j], point) for j in range(2)], axis=1), exists
+    ends[..., 2] = np.maximum(ends[..., 2], camera.near)
+    return ends, np.stack([camera.project(ends[:, j], point) for j in range(2)], axis=1), exists
 
 
 def _clip(ends: Floats, box: Floats) -> tuple[Floats, Floats]:
@@ -331,12 +295,12 @@ def _clip(ends: Floats, box: Floats) -> tuple[Floats, Floats]:
     return enter, leave
 
 
-def _cut_lines(lines: Curves, lens: Lens, frame: Floats) -> Curves:
+def _cut_lines(lines: Curves, camera: Camera, frame: Floats) -> Curves:
     centre = np.zeros((len(lines), 3))
     whole, _, exists = lines.lines(centre)
-    ends, film, exists = _in_front(whole, centre, exists, lens)
-    blur = lens.radius * np.abs(1.0 / lens.focus - 1.0 / ends[..., 2]).max(axis=1, initial=0.0)
-    margin = blur[:, None] / np.abs(lens.scale)
+    ends, film, exists = _in_front(whole, centre, exists, camera)
+    blur = camera.radius * np.abs(1.0 / camera.focus - 1.0 / ends[..., 2]).max(axis=1, initial=0.0)
+    margin = blur[:, None] / np.abs(camera.scale)
     first, last = _clip(film, np.concatenate([frame[:2] - margin, frame[2:] + margin], axis=1))
     kept = np.flatnonzero(exists & (last > first))
     first, last, film, ends, whole = (x[kept] for x in (first, last, film, ends, whole))
@@ -356,7 +320,7 @@ def _cut_lines(lines: Curves, lens: Lens, frame: Floats) -> Curves:
     return lines.part(kept[index], span[:, :1] + fraction * (span[:, 1:] - span[:, :1]))
 
 
-def _cut_bows(bows: Curves, lens: Lens, frame: Floats) -> Curves:
+def _cut_bows(bows: Curves, camera: Camera, frame: Floats) -> Curves:
     """Depth along a conic is C + U cos t + V sin t, which says where it is in front."""
     n = len(bows)
     if not n:
@@ -366,15 +330,15 @@ def _cut_bows(bows: Curves, lens: Lens, frame: Floats) -> Curves:
     middle = 0.5 * (right + left)
     cosine, sine = right - middle, up - middle
     amplitude = np.maximum(np.hypot(cosine, sine), 1e-12 * np.abs(middle) + np.finfo(float).tiny)
-    half = np.arccos(np.clip((lens.near - middle) / amplitude, -1.0, 1.0))
+    half = np.arccos(np.clip((camera.near - middle) / amplitude, -1.0, 1.0))
     nearest = np.arctan2(sine, cosine)
     exists = bows.bows(nearest, centre)[3] & (half > 0.0)
     bows = replace(bows, span=np.stack([nearest - half, nearest + half], axis=1)).part(np.flatnonzero(exists))
     trial = _divide(bows, np.full(len(bows), 64))
-    box, length = bounds(trial, lens)
+    box, length = bounds(trial, camera)
     longest = np.where(_overlap(box, frame), length, 0.0).reshape(-1, 64).max(axis=1, initial=0.0)
     pieces = _divide(bows, np.clip(np.ceil(64.0 * longest / _BOW_PIECE), 16.0, 4096.0).astype(np.int64))
-    return pieces.part(np.flatnonzero(_overlap(bounds(pieces, lens)[0], frame)))
+    return pieces.part(np.flatnonzero(_overlap(bounds(pieces, camera)[0], frame)))
 
 
 def _divide(curves: Curves, count: Ints) -> Curves:

@@ -12,16 +12,18 @@ Source: design section 4.3.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
 from ..render.pixels import render_pixels
+from .method import AtOnce, Estimates, Paths
 
 if TYPE_CHECKING:
-    from ..render.scene import View
+    from ..render.view import View
+    from .film_flow import FilmFlow
 
 STEP_PIXELS = 0.15
 """Image motion of one step [pixel]."""
@@ -29,65 +31,62 @@ NEAR_PERCENTILE = 5.0
 """Percentile of the visible depth at which a translation step moves the image by that much."""
 
 
-@dataclass(frozen=True)
-class Prepared:
-    """What all tiles of one view share."""
-
-    steps: NDArray[np.float64]
-    """(6,) step of each twist component, translation [scene unit] then rotation [rad]."""
-    even: bool = False
-    """Whether film offsets are Sobol' points, which resolve edges with far fewer paths."""
-    block: int = 1
-    """Side of the film blocks whose errors are independent [pixel]: every pixel has its own samples."""
-
-
-def prepare(view: View, step_pixels: float = STEP_PIXELS, even: bool = False) -> Prepared:
-    """The steps that move the image by `step_pixels`."""
-    focal = view.focal_pixels
-    radius = float(np.hypot(*view.size)) / np.sqrt(12.0)
-    angle = step_pixels / np.array([focal, focal, max(radius, 1.0)])
+def steps_of(view: View, step_pixels: float = STEP_PIXELS) -> NDArray[np.float64]:
+    """(6,) the steps that move the image by `step_pixels`, translation [scene unit] then rotation [rad]."""
+    angle = view.camera.angles(step_pixels)
     depth = view.visible_depth
     near, median = np.percentile(depth, [NEAR_PERCENTILE, 50.0]) if depth.size else (1.0, 1.0)
-    shift = np.minimum(angle * near, 0.05 * median)
-    return Prepared(np.concatenate([shift, angle]), even)
+    return np.concatenate([np.minimum(angle * near, 0.05 * median), angle])
 
 
-def jacobian(
-    view: View,
-    pixels: NDArray[np.int64],
-    *,
-    spp: int,
-    seed: int,
-    batches: int,
-    prepared: Prepared | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """dI/dξ in the camera frame by twelve renders.
+@dataclass(frozen=True)
+class FiniteDifference:
+    """The method, open for one view; it traces twelve times the paths that it is asked for."""
 
-    Args:
-        pixels: (n, 2) columns and rows.
-        spp: paths per pixel over all batches, of each of the twelve renders.
-        prepared: what `prepare` returned for this view, so that many tiles prepare once.
+    name: ClassVar[str] = "finite_difference"
+    follows_film: ClassVar[bool] = False
+    steps_image: ClassVar[bool] = True
+    block = 1
 
-    Returns:
-        (batches, n, 3, 6) Jacobians [radiance / scene unit, radiance / rad], and the image (batches, n, 3),
-        the mean of the twelve renders.
-    """
-    prepared = prepared or prepare(view)
-    values = np.empty((batches, len(pixels), 3, 6))
-    image = np.zeros((batches, len(pixels), 3))
-    for axis in range(6):
-        values[..., axis], mean = column(
-            view,
-            pixels,
-            axis,
-            prepared.steps[axis],
-            spp=spp,
-            seed=seed,
-            batches=batches,
-            even=prepared.even,
-        )
-        image += mean / 6.0
-    return values, image
+    view: View
+    paths: Paths
+    steps: NDArray[np.float64]
+    """See `steps_of`."""
+    even: bool = False
+    """Whether film offsets are Sobol' points, which resolve edges with far fewer paths."""
+
+    @classmethod
+    def open(
+        cls,
+        view: View,
+        mask: NDArray[np.bool_],
+        paths: Paths,
+        *,
+        step_pixels: float = STEP_PIXELS,
+        film_flows: tuple[FilmFlow, ...] = (),
+    ) -> Self:
+        """See `Method.open`."""
+        return cls(view, paths, steps_of(view, step_pixels))
+
+    @classmethod
+    def limits(cls, view: View) -> tuple[str, ...]:
+        """Nothing: see `Method.limits`."""
+        return ()
+
+    def prepare(self, pixels: NDArray[np.int64]) -> AtOnce:
+        """See `Method.prepare`."""
+        return AtOnce(lambda: self._all(pixels))
+
+    def _all(self, pixels: NDArray[np.int64]) -> Estimates:
+        """Six columns, and the mean of the twelve renders."""
+        values = np.empty((self.paths.batches, len(pixels), 3, 6))
+        image = np.zeros((self.paths.batches, len(pixels), 3))
+        for axis in range(6):
+            values[..., axis], mean = column(
+                self.view, pixels, axis, self.steps[axis], self.paths, even=self.even
+            )
+            image += mean / 6.0
+        return Estimates(values, image, image.mean(axis=0))
 
 
 def column(
@@ -95,10 +94,8 @@ def column(
     pixels: NDArray[np.int64],
     axis: int,
     step: float,
+    paths: Paths,
     *,
-    spp: int,
-    seed: int,
-    batches: int,
     even: bool = False,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """dI/dξ_axis (batches, n, 3) in the camera frame, and the mean of its two renders, likewise."""
@@ -108,9 +105,9 @@ def column(
         render_pixels(
             view,
             pixels,
-            spp=spp // batches,
-            seed=seed,
-            batches=batches,
+            spp=paths.spp // paths.batches,
+            seed=paths.seed,
+            batches=paths.batches,
             pose=view.pose @ se3.exp(xi),
             even=even,
         )

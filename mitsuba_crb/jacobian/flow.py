@@ -25,37 +25,25 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SensorError
-from ..information.fisher import BLOCK
-from ..information.subset import selected
-from ..render.film import FilmFlow, FilmMap
+from ..information.blocks import BLOCK
 from ..render.paths import IntegratorTracer, PathTracer, tracer
-from ..render.pixels import (
-    EVEN,
-    PILOT,
-    EvenNumbers,
-    Lanes,
-    camera_ray,
-    download,
-    lane_sampler,
-    move_ray,
-    opaque_transform,
-    resumed,
-    seeding,
-    start_pixels,
-    upload,
-)
+from ..render.random import EVEN, EvenNumbers, lane_sampler, seeding
+from ..render.rays import Lanes, camera_ray, opaque_transform
 from ..render.recorded import join, split
-from ..render.sobol import sobol_point
-from . import finite_difference
-from .contours import Contours, find_contours, parallax_steps
-from .pairs import BoxPairs, PairSample, SmoothPairs, filter_pairs
+from . import finite_difference, lint
+from .contours import Contours, ParallaxTerm, find_contours
+from .film_flow import FilmFlow
+from .method import Estimates, Paths
+from .pair_sums import sum_pairs
+from .pairs import BoxPairs, SmoothPairs, filter_pairs
+from .pilot import Pilot
 from .view_term import ViewTerm
 
 if TYPE_CHECKING:
@@ -63,68 +51,13 @@ if TYPE_CHECKING:
 
     import mitsuba as mi
 
-    from ..render.scene import View
+    from ..render.view import View
 
 _DIMENSIONS = (4, 4)
 """What `EvenNumbers` are for: film offset and emitter, whose products are what edges of shadows show; and
 direction at the first surface and lens point."""
 _TRACED = ("pairs", "view_term", "tracer", "transform", "focal", "film_flows")
 """What the kernel reads of `Prepared`."""
-RIM = 1e-3
-"""n·q/|q| of a curved surface below which rounding decides: a tangent hit is exact to its root only."""
-PILOT_SPP = 2
-PILOT_CELL = 4
-"""The baseline Ī_u comes from this many paths through one pixel of every cell [pixel]: antithetic pairs leave
-it so little to do that more would cost more than they save."""
-
-
-@dataclass(frozen=True)
-class Pilot:
-    """Ī_u in cells of the film, by paths of their own; a pixel's is the same whoever else is asked for."""
-
-    place: NDArray[np.int32]
-    """(rows, columns) of each cell among those that hold pixels."""
-    total: mi.Color3f
-    """Sums over their paths, traced in the background."""
-
-    @staticmethod
-    def of(view: View, mask: NDArray[np.bool_], seed: int) -> Pilot:
-        """For the pixels of a mask (H, W)."""
-        missing = [(0, -n % PILOT_CELL) for n in mask.shape]
-        whole = np.pad(mask, missing) if np.any(missing) else mask
-        rows = functools.reduce(np.logical_or, [whole[i::PILOT_CELL] for i in range(PILOT_CELL)])
-        held = functools.reduce(np.logical_or, [rows[:, i::PILOT_CELL] for i in range(PILOT_CELL)])
-        probed = PILOT_CELL * selected(held)
-        place = (np.cumsum(held, dtype=np.int32) - 1).reshape(held.shape)
-        return Pilot(place, start_pixels(view, probed, spp=PILOT_SPP, seed=seed, purpose=PILOT))
-
-    @functools.cached_property
-    def arrays(self) -> tuple[mi.UInt32, mi.UInt32, mi.Color3f]:
-        """What `baseline` reads."""
-        import mitsuba as mi
-
-        place = upload(mi.UInt32, self.place.ravel())
-        return place, dr.opaque(mi.UInt32, self.place.shape[1]), self.total
-
-    @staticmethod
-    def baseline(arrays: tuple[mi.UInt32, mi.UInt32, mi.Color3f], lanes: Lanes) -> mi.Color3f:
-        """Ī_u of the lanes of some of the pixels, finite whatever the radiance."""
-        import mitsuba as mi
-
-        place, columns, total = arrays
-        cell = lanes.row // PILOT_CELL * columns + lanes.column // PILOT_CELL
-        image = dr.gather(mi.Color3f, total, dr.gather(mi.UInt32, place, cell)) / PILOT_SPP
-        return mi.Color3f(*(dr.select(dr.isfinite(channel), channel, 0.0) for channel in image))
-
-    def values(self, pixels: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Ī_u of some of the pixels (n, 3)."""
-        column, row = (pixels // PILOT_CELL).T
-        return np.asarray(self._image[self.place[row, column]])
-
-    @functools.cached_property
-    def _image(self) -> NDArray[np.float64]:
-        image = download(self.total).T / PILOT_SPP
-        return np.where(np.isfinite(image), image, 0.0)
 
 
 @dataclass(frozen=True)
@@ -133,8 +66,8 @@ class Prepared:
 
     pairs: SmoothPairs | BoxPairs
     view_term: ViewTerm | None
-    contours: Contours | finite_difference.Prepared
-    """Of the surfaces; or, where the integrator sees volumes, the steps of translation's differences."""
+    contours: Contours | NDArray[np.float64]
+    """Of the surfaces; or, where the integrator sees volumes, the steps (6,) of finite differences."""
     tracer: PathTracer | IntegratorTracer
     transform: mi.Transform4f
     """World from camera."""
@@ -159,7 +92,6 @@ def prepare(view: View, film_flows: tuple[FilmFlow, ...] = ()) -> Prepared:
     Warns:
         BlindSpotWarning: by name, of shapes whose contours are not known.
     """
-    import mitsuba as mi
 
     camera_paths = tracer(view)
     volumes = _sees_volumes(view, camera_paths)
@@ -169,14 +101,14 @@ def prepare(view: View, film_flows: tuple[FilmFlow, ...] = ()) -> Prepared:
             "to follow: use method finite_difference, or a perspective sensor"
         )
     # First, because the others wait for what runs in the background.
-    contours = finite_difference.prepare(view) if volumes else find_contours(view)
+    contours = finite_difference.steps_of(view) if volumes else find_contours(view)
     return Prepared(
         filter_pairs(view.pixel_filter),
         None if volumes else ViewTerm.of(view, camera_paths),
         contours,
         camera_paths,
         opaque_transform(view.pose),
-        mi.Vector2f(*(dr.opaque(mi.Float, float(value)) for value in FilmMap.of(view).focal)),
+        _film_slope(view),
         film_flows,
     )
 
@@ -191,97 +123,134 @@ def _sees_volumes(view: View, camera_paths: PathTracer | IntegratorTracer) -> bo
     return isinstance(camera_paths, IntegratorTracer) and (inside or volumes)
 
 
-def jacobian(
-    view: View,
-    pixels: NDArray[np.int64],
-    *,
-    spp: int,
-    seed: int,
-    batches: int,
-    prepared: Prepared | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """dI/dξ in the camera frame.
+def _film_slope(view: View) -> mi.Vector2f:
+    """d(film point)/d(q_x/q_z, q_y/q_z) [pixel], as the sensor's rays through the film's corners have it."""
+    import mitsuba as mi
 
-    Args:
-        pixels: (n, 2) columns and rows; those of one film block must come in one call.
-        spp: paths per pixel over all batches. Paths come in pairs, alternately along x and y, and share
-            their random numbers out best by powers of two: 4, 8, 16, … per batch. An odd last path of a
-            batch is not traced, a batch of one path traces two.
-            Where the integrator sees volumes, translation traces six times as many besides.
-        prepared: what `prepare` returned for this view, so that many tiles prepare once.
+    size = np.array(view.size, dtype=np.float64)
+    film = mi.Point2f(*([0.0, side] for side in view.size))
+    ray, _ = camera_ray(view, film, mi.Point2f(0.5, 0.5))
+    tangent = np.array([ray.d.x / ray.d.z, ray.d.y / ray.d.z], dtype=np.float64)
+    slope = size / (tangent[:, 1] - tangent[:, 0])
+    return mi.Vector2f(*(dr.opaque(mi.Float, float(value)) for value in slope))
 
-    Returns:
-        (batches, n, 3, 6 + m) Jacobians [radiance / scene unit, radiance / rad, and per unit of the m film
-        parameters], and each batch's image (batches, n, 3), unbiased.
+
+class Flow:
+    """The method, open for one view.
+
+    Paths come in pairs, alternately along x and y, and share their random numbers out best by powers of two:
+    4, 8, 16, … per batch. An odd last path of a batch is not traced, a batch of one path traces two. Where
+    the integrator sees volumes, translation traces six times as many besides.
     """
-    prepared = prepare(view) if prepared is None else prepared
-    mask = np.zeros(view.size[::-1], dtype=bool)
-    mask[pixels[:, 1], pixels[:, 0]] = True
-    pilot = Pilot.of(view, mask, seed)
-    *_, (values, images, _) = steps(view, pixels, prepared, pilot, spp=spp, seed=seed, batches=batches)
-    return values, images
+
+    name: ClassVar[str] = "flow"
+    follows_film: ClassVar[bool] = True
+    steps_image: ClassVar[bool] = False
+    block = BLOCK
+
+    def __init__(
+        self, view: View, mask: NDArray[np.bool_], paths: Paths, film_flows: tuple[FilmFlow, ...] = ()
+    ) -> None:
+        """See `open`."""
+        self.view, self.paths = view, paths
+        self._mask = mask
+        self.prepared = prepare(view, film_flows)
+
+    @classmethod
+    def open(
+        cls,
+        view: View,
+        mask: NDArray[np.bool_],
+        paths: Paths,
+        *,
+        step_pixels: float,
+        film_flows: tuple[FilmFlow, ...] = (),
+    ) -> Self:
+        """See `Method.open`; errors and warnings as `prepare`."""
+        return cls(view, mask, paths, film_flows)
+
+    @classmethod
+    def limits(cls, view: View) -> Iterator[str]:
+        """See `Method.limits`."""
+        return lint.cut_surfaces(view, cls.name)
+
+    @functools.cached_property
+    def pilot(self) -> Pilot:
+        """Ī_u of the pixels that will be asked for."""
+        return Pilot.of(self.view, self._mask, self.paths.seed)
+
+    def prepare(self, pixels: NDArray[np.int64]) -> FlowTile:
+        """See `Method.prepare`."""
+        return FlowTile(self, pixels)
 
 
-def steps(
-    view: View,
-    pixels: NDArray[np.int64],
-    prepared: Prepared,
-    pilot: Pilot,
-    *,
-    spp: int,
-    seed: int,
-    batches: int,
-) -> Iterator[Any]:
-    """As `jacobian`, in four steps; the last one's item is its result, and the image (n, 3) of all batches.
+class FlowTile:
+    """Some pixels on their way, see `method.Tile`."""
 
-    The first readies paths, the second starts them in the background, the third waits for what runs there,
-    the fourth sums up. So one tile can be readied, and the one before summed up, while paths are traced.
-    """
-    options = {"spp": spp, "seed": seed, "batches": batches}
-    start = filter_and_view_terms(view, prepared, pixels, pilot, **options)
-    yield
-    contours = prepared.contours
-    beside: Iterator[Any]
-    if isinstance(contours, Contours):
-        baseline = pilot.values(pixels) if len(contours.piece) else np.empty((len(pixels), 3))
-        beside = parallax_steps(view, contours, pixels, baseline, **options)
-    else:
-        beside = _differences(view, contours, pixels, **options)
-    columns, image, shown = start()
-    next(beside)
-    yield
-    # Shares Dr.Jit's memory, but to look there later would be to wait for the next tile's paths.
-    colors = [[np.asarray(channel) for channel in color] for color in (*columns, image)]
-    sums = np.array([np.asarray(channel).reshape(batches, -1).mean(axis=0) for channel in shown])
-    baseline = pilot.values(pixels)
-    next(beside)
-    yield
-    jacobians, images = as_arrays(colors, batches)
-    rows, terms = next(beside)
-    if not isinstance(contours, Contours):
-        jacobians[..., :3] = 0.0
-    jacobians[:, rows, :, : terms.shape[-1]] += terms
-    # A few weights of a filter with negative lobes may add up to nothing: then the pilot is what is left.
-    yield jacobians, images, baseline + (sums[:3] / np.maximum(sums[3], 0.5)).T
+    def __init__(self, method: Flow, pixels: NDArray[np.int64]) -> None:
+        """Readies their paths."""
+        self._method, self._pixels = method, pixels
+        self._begin = filter_and_view_terms(method.view, method.prepared, pixels, method.pilot, method.paths)
+
+    def launch(self) -> None:
+        """Start the paths in the background, and those of the contours."""
+        view, contours, pixels = self._method.view, self._method.prepared.contours, self._pixels
+        paths = self._method.paths
+        self._beside: ParallaxTerm | _Differences
+        if isinstance(contours, Contours):
+            needed = len(contours.piece) > 0
+            baseline = self._method.pilot.values(pixels) if needed else np.empty((len(pixels), 3))
+            self._beside = ParallaxTerm(view, contours, pixels, baseline, paths)
+        else:
+            self._beside = _Differences(view, contours, pixels, paths)
+        columns, image, self._shown = self._begin()
+        self._beside.launch()
+        self._colors = [*columns, image]
+
+    def wait(self) -> None:
+        """Until they are traced."""
+        # Shares Dr.Jit's memory, but to look there later would be to wait for the next tile's paths.
+        self._traced = [[np.asarray(channel) for channel in color] for color in self._colors]
+        shape = (self._method.paths.batches, -1)
+        self._sums = np.array([np.asarray(part).reshape(shape).mean(axis=0) for part in self._shown])
+        self._beside.wait()
+
+    def result(self) -> Estimates:
+        """All terms together."""
+        jacobians, images = as_arrays(self._traced, self._method.paths.batches)
+        rows, terms = self._beside.result()
+        if isinstance(self._beside, _Differences):
+            jacobians[..., :3] = 0.0
+        jacobians[:, rows, :, : terms.shape[-1]] += terms
+        baseline = self._method.pilot.values(self._pixels)
+        # A few weights of a filter with negative lobes may add up to nothing: then the pilot is what is left.
+        shown = baseline + (self._sums[:3] / np.maximum(self._sums[3], 0.5)).T
+        return Estimates(jacobians, images, shown)
 
 
-def _differences(
-    view: View,
-    prepared: finite_difference.Prepared,
-    pixels: NDArray[np.int64],
-    *,
-    spp: int,
-    seed: int,
-    batches: int,
-) -> Iterator[Any]:
-    """Translation's columns by finite differences, in the steps of `parallax_steps`."""
-    columns = [
-        finite_difference.column(view, pixels, axis, step, spp=spp, seed=seed, batches=batches)[0]
-        for axis, step in enumerate(prepared.steps[:3])
-    ]
-    yield
-    yield
-    yield np.arange(len(pixels)), np.stack(columns, axis=-1)
+@dataclass
+class _Differences:
+    """Translation's columns by finite differences, in the place of a `ParallaxTerm`."""
+
+    view: View
+    steps: NDArray[np.float64]
+    """(6,), of which translation's are taken."""
+    pixels: NDArray[np.int64]
+    paths: Paths
+
+    def launch(self) -> None:
+        """All of the work."""
+        self._columns = [
+            finite_difference.column(self.view, self.pixels, axis, step, self.paths)[0]
+            for axis, step in enumerate(self.steps[:3])
+        ]
+
+    def wait(self) -> None:
+        """Nothing."""
+
+    def result(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """All pixels, and (batches, n, 3, 3)."""
+        return np.arange(len(self.pixels)), np.stack(self._columns, axis=-1)
 
 
 def filter_and_view_terms(
@@ -289,20 +258,17 @@ def filter_and_view_terms(
     prepared: Prepared,
     pixels: NDArray[np.int64],
     pilot: Pilot,
-    *,
-    spp: int,
-    seed: int,
-    batches: int,
+    paths: Paths,
 ) -> Callable[[], tuple[list[mi.Color3f], mi.Color3f, mi.Vector4f]]:
     """What starts the paths of some pixels in the background, without the contours' part.
 
     Returns:
-        A function that gives the columns, the image, and what `_sum_pairs` makes to be shown, of each lane.
+        A function that gives the columns, the image, and what `sum_pairs` makes to be shown, of each lane.
     """
     import mitsuba as mi
 
     pairs = prepared.pairs
-    number = max(1, spp // batches // 2)
+    number = max(1, paths.spp // paths.batches // 2)
     # Fewer pairs than kinds: which kinds, a random number decides, and the expected counts are the weights.
     few = number < pairs.kinds
     counts = [
@@ -311,13 +277,13 @@ def filter_and_view_terms(
     parts = [getattr(prepared, name) for name in _TRACED]
     own, key = split(parts)
     arrays = {
-        "lanes": tuple(Lanes.of(view, pixels, batches)),
-        "seeds": [seeding(seed), seeding(seed, EVEN)],
+        "lanes": tuple(Lanes.of(view, pixels, paths.batches)),
+        "seeds": [seeding(paths.seed), seeding(paths.seed, EVEN)],
         "pilot": pilot.arrays,
         "counts": [dr.opaque(mi.Float, count) for count in counts],
         "number": dr.opaque(mi.UInt32, number),
         "starts": dr.opaque(mi.UInt32, pairs.kinds if few else 1),
-        "most": dr.opaque(mi.Float, np.sqrt(2 * number * batches) / (2 * number)),
+        "most": dr.opaque(mi.Float, np.sqrt(2 * number * paths.batches) / (2 * number)),
         "parts": own,
     }
 
@@ -325,7 +291,7 @@ def filter_and_view_terms(
         lanes = Lanes(*arrays["lanes"])
         seeds, even_seeds = arrays["seeds"]
         given = dict(zip(_TRACED, join(parts, iter(arrays["parts"])), strict=True))
-        columns, image, shown = _sum_pairs(
+        columns, image, shown = sum_pairs(
             view,
             replace(prepared, **given),
             lane_sampler(lanes.pixel, lanes.batch, seeds),
@@ -350,183 +316,3 @@ def as_arrays(colors: Any, batches: int) -> tuple[NDArray[np.float64], NDArray[n
         for own, channel in zip(row, color, strict=True):
             own[...] = np.asarray(channel).reshape(own.shape)
     return values[:-1].transpose(2, 3, 1, 0), values[-1].transpose(1, 2, 0)
-
-
-@dr.syntax  # type: ignore[untyped-decorator]  # Dr.Jit is untyped here
-def _sum_pairs(
-    view: View,
-    prepared: Prepared,
-    sampler: mi.Sampler,
-    even: EvenNumbers,
-    centre: mi.Point2f,
-    baseline: mi.Color3f,
-    counts: list[mi.Float],
-    number: mi.UInt32,
-    starts: mi.UInt32,
-    most: mi.Float,
-) -> tuple[list[mi.Color3f], mi.Color3f, mi.Vector4f]:
-    """The columns and the image of each lane; equal kernels for all tiles, seeds and poses.
-
-    And Σ w (L − Ī) and Σ w, of which Ī + Σ w (L − Ī) / Σ w is an image to be shown: the image itself is
-    unbiased, but few of its weights are so large, and the coarse Ī is so far off, that it has specks. These w
-    are no larger than `most`, √n times the mean of n paths': truncated importance sampling (Ionides 2008).
-    """
-    import mitsuba as mi
-
-    pairs, transform = prepared.pairs, prepared.transform
-    view_term: Any = prepared.view_term
-    world_to_camera = transform.inverse()
-    columns = [mi.Color3f(0.0) for _ in range(6 + len(prepared.film_flows))]
-    image, shown = mi.Color3f(0.0), mi.Vector4f(0.0)
-    turns = (number + (pairs.kinds - 1)) // pairs.kinds
-    start = mi.UInt32(sampler.next_1d() * mi.Float(starts))
-    state = mi.UInt64(sampler.rng.state)
-    pair_state = mi.UInt64(state)
-    drawn = (mi.Point2f(0.0), mi.Vector2f(0.0), mi.Float(0.0))
-    aperture, emitter, direction = (mi.Point2f(0.0) for _ in range(3))
-    i = mi.UInt32(0)
-    while dr.hint(
-        i < 2 * number,
-        exclude=[
-            view,
-            prepared,
-            pairs,
-            view_term,
-            counts,
-            even,
-            sampler,
-            centre,
-            baseline,
-            number,
-            start,
-            most,
-            turns,
-            transform,
-            world_to_camera,
-        ],
-        label="antithetic pairs",
-    ):
-        # Both halves of a pair trace their paths with the same random numbers.
-        mirrored = (i & 1) == 1
-        pair_state = dr.select(mirrored, pair_state, state)
-        path_sampler = resumed(sampler, pair_state)
-
-        index = (i >> 1) + start
-        turn, kind = index // pairs.kinds, index % pairs.kinds
-        if dr.hint(mirrored, exclude=[pairs, counts, even, turns]):
-            drawn = tuple(PairSample(*drawn).mirrored(kind))
-        else:
-            # A pixel's points of a kind, of which a column is made, follow one another, then its neighbour's.
-            place = (kind * (BLOCK * BLOCK) + even.rank) * turns + turn
-            at_film = sobol_point(place, even.seeds[0])
-            # Neighbours' paths, traced together, then go on in the same quarter of directions.
-            on_path = sobol_point(place, even.seeds[1], quarters=(turns & 3) == 0)
-            drawn = tuple(pairs.draw(kind, mi.Point2f(*at_film[:2]), counts))
-            emitter = mi.Point2f(*at_film[2:])
-            direction, aperture = mi.Point2f(*on_path[:2]), mi.Point2f(*on_path[2:])
-        half = PairSample(*drawn)
-        film = centre + mi.Vector2f(half.offset)
-        ray, importance = camera_ray(view, film, aperture)
-        world_ray = move_ray(ray, transform)
-        if dr.hint(view_term is not None, mode="scalar"):
-            angle = path_sampler.next_1d()
-            shifted_sampler = path_sampler.clone()
-        seen = prepared.tracer.trace(view, path_sampler, world_ray, (emitter, direction))
-        state = mi.UInt64(path_sampler.rng.state)
-        light = importance * seen.light
-
-        to_lens = ray.o.z / ray.d.z
-        lens = mi.Point3f(ray.o - to_lens * ray.d)
-        # Not hit.t: where the integrator skips emitters it counts from the last one.
-        distance = to_lens + dr.dot(seen.hit.p - world_ray.o, world_ray.d)
-        normal = world_to_camera @ mi.Vector3f(seen.hit.n)
-        valid = seen.hit.is_valid()
-        curved = valid & ~seen.hit.shape.is_mesh()
-        weights = _divergences(half, ray, lens, valid, curved, distance, normal, prepared.focal)
-        weights += [_film_divergence(half, film, flow) for flow in prepared.film_flows]
-        for k in range(len(weights)):
-            columns[k] += (light - baseline) * weights[k]
-        # With the baseline: the weights' own noise, whose mean is 1, would otherwise scale the whole image.
-        image += (light - baseline) * half.value
-        bounded = dr.clip(half.value, -most, most)
-        shown += bounded * mi.Vector4f(*(light - baseline), 1.0)
-
-        if dr.hint(view_term is not None, mode="scalar"):
-            tangent = _tangent(ray.d, angle, mirrored)
-            change = view_term.along(
-                view,
-                prepared.tracer,
-                shifted_sampler,
-                (emitter, direction),
-                world_ray,
-                seen,
-                distance,
-                transform @ tangent,
-            )
-            change *= importance * half.value
-            turning = dr.cross(lens, tangent)
-            for k in range(3):
-                columns[k] += change * tangent[k]
-                columns[k + 3] += change * turning[k]
-        i += 1
-    return columns, image + baseline, shown
-
-
-def _tangent(direction: mi.Vector3f, turn: mi.Float, mirrored: mi.Bool) -> mi.Vector3f:
-    """A unit vector normal to the ray; those of a pair's halves are normal to each other."""
-    import mitsuba as mi
-
-    sin, cos = dr.sincos(dr.two_pi * (turn + dr.select(mirrored, 0.25, 0.0)))
-    return mi.Vector3f(mi.Frame3f(direction).to_world(mi.Vector3f(cos, sin, 0.0)))
-
-
-def _film_divergence(half: PairSample, film: mi.Point2f, flow: FilmFlow) -> mi.Float:
-    """∇·(h w) over the sample's density."""
-    x, y = flow.scale * film.x + flow.offset.x, flow.scale * film.y + flow.offset.y
-    return half.gradient.x * x + half.gradient.y * y + 2.0 * flow.scale * half.value
-
-
-def _divergences(
-    half: PairSample,
-    ray: mi.Ray3f,
-    lens: mi.Point3f,
-    valid: mi.Bool,
-    curved: mi.Bool,
-    distance: mi.Float,
-    normal: mi.Vector3f,
-    focal: mi.Vector2f,
-) -> list[mi.Float]:
-    """∇·(h f) over the sample's density, for the six twist components.
-
-    Args:
-        ray, lens, normal: in the camera frame.
-        valid, distance: whether the ray hits, and how far from the lens point [scene unit].
-        curved: whether what it hits may be curved, so that its normal is as inexact as the hit.
-        focal: d(film)/d(tangent plane), so that focal·∇h is the gradient on the tangent plane.
-    """
-    h = half.value
-    gx, gy = half.gradient.x * focal.x, half.gradient.y * focal.y
-    x, y = ray.d.x / ray.d.z, ray.d.y / ray.d.z
-    inverse_depth = dr.select(valid, dr.rcp(ray.d.z * distance), 0.0)
-    # n q_z/(n·q); a plane through the lens point has no film area, so its value does not matter.
-    slant = dr.dot(normal, ray.d) / ray.d.z
-    m = dr.select(dr.abs(slant) > 0.0, normal / slant, 0.0)
-    # Film distance from a rim grows as slant²: below RIM the mean of 1/slant is 2/RIM.
-    m = dr.select(curved & (dr.abs(slant) < RIM), normal * dr.mulsign(2.0 / RIM, slant), m)
-    rho = [
-        -inverse_depth * (gx + h * m.x),
-        -inverse_depth * (gy + h * m.y),
-        inverse_depth * (gx * x + gy * y + h * (3.0 - m.z)),
-    ]
-    phi = [
-        gx * x * y + gy * (1.0 + y * y) + 3.0 * h * y,
-        -gx * (1.0 + x * x) - gy * x * y - 3.0 * h * x,
-        gx * y - gy * x,
-    ]
-    # ρ_a = ρ + φ×a: rotating about the camera's origin also shifts the lens point.
-    return [
-        *rho,
-        phi[0] + lens.y * rho[2],
-        phi[1] - lens.x * rho[2],
-        phi[2] - lens.y * rho[0] + lens.x * rho[1],
-    ]

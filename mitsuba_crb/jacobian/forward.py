@@ -11,19 +11,26 @@ Source: Muthukkumar 2025, Algorithm 1; design section 4.2.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import IntegratorError
-from ..render.pixels import Lanes, camera_ray, lane_sampler, move_ray, radiance, seeding
+from ..render.pixels import radiance
+from ..render.random import lane_sampler, seeding
+from ..render.rays import Lanes, camera_ray, move_ray
+from . import lint
+from .method import AtOnce, Estimates, Paths
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     import mitsuba as mi
 
-    from ..render.scene import View
+    from ..render.view import View
+    from .film_flow import FilmFlow
 
 
 MAX_LANES = 1 << 18
@@ -34,63 +41,68 @@ other kernels have the batch, so that under one purpose a path would share those
 
 
 @dataclass(frozen=True)
-class Prepared:
-    """What all tiles of one view share."""
+class Forward:
+    """The method, open for one view; six forward passes."""
 
-    block: int = 1
-    """Side of the film blocks whose errors are independent [pixel]: every pixel has its own samples."""
+    name: ClassVar[str] = "forward"
+    follows_film: ClassVar[bool] = False
+    steps_image: ClassVar[bool] = False
+    block = 1
 
+    view: View
+    paths: Paths
 
-def prepare(view: View) -> Prepared:
-    """Nothing, unless the integrator detaches camera rays, whose derivative would be a silent zero.
+    @classmethod
+    def open(
+        cls,
+        view: View,
+        mask: NDArray[np.bool_],
+        paths: Paths,
+        *,
+        step_pixels: float,
+        film_flows: tuple[FilmFlow, ...] = (),
+    ) -> Self:
+        """See `Method.open`.
 
-    Raises:
-        IntegratorError: names the integrator.
-    """
-    from mitsuba.python.ad.integrators.common import ADIntegrator
+        Raises:
+            IntegratorError: by name, of an integrator that detaches camera rays, whose derivative would be a
+                silent zero.
+        """
+        from mitsuba.python.ad.integrators.common import ADIntegrator
 
-    if isinstance(view.integrator, ADIntegrator):
-        raise IntegratorError(
-            f"integrator {type(view.integrator).__name__} detaches camera rays, so method 'forward' would "
-            "see nothing: use path, direct or volpath, or another method"
-        )
-    return Prepared()
+        if isinstance(view.integrator, ADIntegrator):
+            raise IntegratorError(
+                f"integrator {type(view.integrator).__name__} detaches camera rays, so method 'forward' "
+                "would see nothing: use path, direct or volpath, or another method"
+            )
+        return cls(view, paths)
 
+    @classmethod
+    def limits(cls, view: View) -> Iterator[str]:
+        """See `Method.limits`."""
+        yield from lint.cut_surfaces(view, cls.name)
+        for finding in lint.discontinuities(view):
+            yield (
+                f"method 'forward' cannot see {finding}: its information is too small and its bound no "
+                "bound; use flow"
+            )
 
-def jacobian(
-    view: View,
-    pixels: NDArray[np.int64],
-    *,
-    spp: int,
-    seed: int,
-    batches: int,
-    prepared: Prepared | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """dI/dξ in the camera frame by six forward passes.
+    def prepare(self, pixels: NDArray[np.int64]) -> AtOnce:
+        """See `Method.prepare`."""
+        return AtOnce(lambda: self._all(pixels))
 
-    Args:
-        pixels: (n, 2) columns and rows.
-        spp: paths per pixel over all batches.
-        prepared: what `prepare` returned for this view, so that many tiles prepare once.
-
-    Returns:
-        (batches, n, 3, 6) Jacobians [radiance / scene unit, radiance / rad], and the image (batches, n, 3).
-
-    Raises:
-        IntegratorError: the integrator detaches camera rays.
-    """
-    if prepared is None:
-        prepare(view)
-    values = np.empty((batches, len(pixels), 3, 6))
-    image = np.empty((batches, len(pixels), 3))
-    count = max(1, MAX_LANES // spp)
-    for start in range(0, len(pixels), count):
-        part = slice(start, start + count)
-        for axis in range(6):
-            column, primal = _column(view, pixels[part], spp, seed, axis)
-            values[:, part, :, axis] = per_batch(column, batches)
-        image[:, part] = per_batch(primal, batches)
-    return values, image
+    def _all(self, pixels: NDArray[np.int64]) -> Estimates:
+        spp, batches = self.paths.spp, self.paths.batches
+        values = np.empty((batches, len(pixels), 3, 6))
+        image = np.empty((batches, len(pixels), 3))
+        count = max(1, MAX_LANES // spp)
+        for start in range(0, len(pixels), count):
+            part = slice(start, start + count)
+            for axis in range(6):
+                column, primal = _column(self.view, pixels[part], spp, self.paths.seed, axis)
+                values[:, part, :, axis] = per_batch(column, batches)
+            image[:, part] = per_batch(primal, batches)
+        return Estimates(values, image, image.mean(axis=0))
 
 
 def _column(

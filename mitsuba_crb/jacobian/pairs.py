@@ -21,7 +21,8 @@ import drjit as dr
 import numpy as np
 
 from ..errors import FilmError
-from ..render.pixels import PixelFilter, upload
+from ..render.arrays import upload
+from ..render.film import PixelFilter
 
 if TYPE_CHECKING:
     import mitsuba as mi

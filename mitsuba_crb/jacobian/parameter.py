@@ -19,15 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
-from ..render.film import FilmMap
-from ..render.pixels import move_ray, opaque_transform, radiance, render_pixels
+from ..render.pixels import radiance, render_pixels
+from ..render.rays import move_ray, opaque_transform, seen_camera
 from ..render.recorded import Recorder
 from .forward import MAX_LANES, camera_paths, per_batch, per_path
+from .method import Paths
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
-    from ..render.scene import View
+    from ..render.view import View
 
 Floats = NDArray[np.float64]
 Pixels = NDArray[np.int64]
@@ -60,34 +61,33 @@ class SceneParameter:
             return "forward mode"
         return f"finite differences, step {', '.join(f'{step:.3g}' for step in dict.fromkeys(self.steps))}"
 
-    def columns(self, view: View, pixels: Pixels, *, spp: int, seed: int, batches: int) -> Floats:
-        """(batches, n, 3, q) ∂I/∂t [radiance per unit of t]; `spp` paths over all batches."""
+    def columns(self, view: View, pixels: Pixels, paths: Paths) -> Floats:
+        """(batches, n, 3, q) ∂I/∂t [radiance per unit of t]."""
         column = self._forward if self.forward else self._difference
-        return np.stack(
-            [column(view, pixels, k, spp, seed, batches) for k in range(len(self.directions))], axis=-1
-        )
+        return np.stack([column(view, pixels, k, paths) for k in range(len(self.directions))], axis=-1)
 
-    def _difference(self, view: View, pixels: Pixels, k: int, spp: int, seed: int, batches: int) -> Floats:
+    def _difference(self, view: View, pixels: Pixels, k: int, paths: Paths) -> Floats:
         images = []
         for t in (self.steps[k], -self.steps[k]):
             with self.at(k, t):
                 moved = replace(view, recorder=Recorder(None))
-                images.append(render_pixels(moved, pixels, spp=spp // batches, seed=seed, batches=batches))
+                spp = paths.spp // paths.batches
+                images.append(render_pixels(moved, pixels, spp=spp, seed=paths.seed, batches=paths.batches))
         return np.asarray((images[0] - images[1]) / (2.0 * self.steps[k]))
 
-    def _forward(self, view: View, pixels: Pixels, k: int, spp: int, seed: int, batches: int) -> Floats:
-        count = max(1, MAX_LANES // spp)
+    def _forward(self, view: View, pixels: Pixels, k: int, paths: Paths) -> Floats:
+        count = max(1, MAX_LANES // paths.spp)
         parts = [
-            per_batch(self._paths(view, pixels[start : start + count], k, spp, seed), batches)
+            per_batch(self._paths(view, pixels[start : start + count], k, paths), paths.batches)
             for start in range(0, len(pixels), count)
         ]
         return np.concatenate(parts, axis=1)
 
-    def _paths(self, view: View, pixels: Pixels, k: int, spp: int, seed: int) -> Floats:
+    def _paths(self, view: View, pixels: Pixels, k: int, paths: Paths) -> Floats:
         """∂L/∂t of every path (n, spp, 3), a lane each as in `forward`."""
         import mitsuba as mi
 
-        sampler, ray, weight = camera_paths(view, pixels, spp, seed)
+        sampler, ray, weight = camera_paths(view, pixels, paths.spp, paths.seed)
         world_ray = move_ray(ray, opaque_transform(view.pose))
         t = mi.Float(0.0)
         dr.enable_grad(t)
@@ -95,7 +95,7 @@ class SceneParameter:
         with self.at(k, t), dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, False):
             value = weight * radiance(view, sampler, world_ray)
             dr.forward_from(t)
-            return per_path(dr.grad(value), spp)
+            return per_path(dr.grad(value), paths.spp)
 
     def _moved(self, k: int, t: Any) -> Any:
         """The parameter at t along direction k; t may be attached, but for a placement."""
@@ -137,7 +137,7 @@ def is_placement(value: Any) -> bool:
 def motions(view: View, parameters: mi.SceneParameters, key: str, value: Any) -> SceneParameter:
     """The six motions of a placement: along the world's axes [scene unit], about its origin [rad]."""
     depth = view.visible_depth
-    shift = STEP_PIXELS * (float(np.median(depth)) if depth.size else 1.0) / view.focal_pixels
+    shift = STEP_PIXELS * (float(np.median(depth)) if depth.size else 1.0) / view.camera.focal_length
     turn = 2.0 * STEP_PIXELS / max(view.size)
     return SceneParameter(parameters, key, value, tuple(np.eye(6)), (shift,) * 3 + (turn,) * 3)
 
@@ -151,11 +151,11 @@ def sensor_parameters(view: View, name: str) -> tuple[SceneParameter, ...]:
         value = mi.Float(parameters["x_fov"])
         step = np.degrees(2.0 * STEP_PIXELS / max(view.size)) * np.sin(np.radians(np.array(value)[0]))
         return (SceneParameter(parameters, "x_fov", value, (np.ones(1),), (float(step),)),)
-    found, origin = [], FilmMap.of(view).centre
+    found, origin = [], seen_camera(view).centre
     for axis, key in enumerate(("principal_point_offset_x", "principal_point_offset_y")):
         value = mi.Float(parameters[key])
         whole = SceneParameter(parameters, key, value, (np.ones(1),), (1.0,))
         with whole.at(0, _OFFSET):
-            moved = (FilmMap.of(view).centre - origin)[axis]
+            moved = (seen_camera(view).centre - origin)[axis]
         found.append(replace(whole, directions=(np.full(1, _OFFSET / moved),), steps=(STEP_PIXELS,)))
     return tuple(found)

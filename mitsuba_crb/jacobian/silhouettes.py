@@ -19,18 +19,20 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera import Camera
 from ..errors import BlindSpotWarning
-from ..information.fisher import BLOCK
+from ..information.blocks import BLOCK
+from ..render.arrays import upload, widened
 from ..render.paths import first_hit
-from ..render.pixels import camera_ray, download, move_ray, opaque_transform, upload, widened
-from .curves import EDGE, Curves, Lens, Placed, bounds, cut, place
+from ..render.rays import camera_ray, move_ray, opaque_transform
+from .curves import EDGE, Curves, Placed, bounds, cut, place
 from .edges import EdgeTable
 from .surfaces import edge_table, first_faces, smooth_curves, without_contours
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
-    from ..render.scene import View
+    from ..render.view import View
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -67,7 +69,7 @@ class Contours:
     """See `surfaces.first_faces`."""
     pose: Floats
     """`world_from_camera`, rounded to float32 as the renderer has it."""
-    lens: Lens
+    camera: Camera
     pieces: Curves
     box: Floats
     """(p, 4) film rectangle x0 y0 x1 y1 that holds each piece [pixel]."""
@@ -84,7 +86,7 @@ class Contours:
 
     def place(self, piece: Ints, u: Floats, point: Floats, box: Floats) -> Placed:
         """Points on pieces, see `curves.place`."""
-        return place(self.pieces.part(piece), u, point, box, self.lens, self._edge_side)
+        return place(self.pieces.part(piece), u, point, box, self.camera, self._edge_side)
 
     def _edge_side(self, edges: Ints, point: Floats) -> Floats:
         return self.table.sides(edges, self.pose[:3, 3] + point @ self.pose[:3, :3].T).astype(np.float64)
@@ -132,7 +134,7 @@ class Contours:
         start = np.where(known, self.first_face[np.where(known, shape[edge], 0)], -1)
         hit = np.where(start < 0, -1, start + face[edge])
         world = self.pose[:3, 3] + (placed.seen + point)[edge] @ self.pose[:3, :3].T
-        tolerance = 2.0 * ASIDE * np.abs(self.lens.scale).max() * placed.seen[edge, 2]
+        tolerance = 2.0 * ASIDE * np.abs(self.camera.scale).max() * placed.seen[edge, 2]
         jump[edge[self.table.repeats(self.pieces.tag[piece[edge]], hit, world, tolerance)]] = 0.0
         return jump
 
@@ -197,14 +199,14 @@ def find_contours(view: View) -> Contours:
     rotation, centre = pose[:3, :3], pose[:3, 3]
     camera_from_world = np.eye(4)
     camera_from_world[:3] = np.column_stack([rotation.T, -rotation.T @ centre])
-    table, lens = edge_table(view.scene), _lens(view)
-    edges = table.candidates(centre, rotation[:, 2], lens.radius)
+    table, camera = edge_table(view.scene), view.camera
+    edges = table.candidates(centre, rotation[:, 2], camera.radius)
     ends = (table.ends[edges] - centre) @ rotation
     curves = [Curves.of(EDGE, ends[:, 0], ends[:, 1] - ends[:, 0], tag=edges)]
     curves += smooth_curves(view.scene, camera_from_world)
     size, radius = np.array(view.size), view.pixel_filter.radius
-    pieces = cut(Curves.join(curves), lens, np.concatenate([[-radius, -radius], size + radius]))
-    box, length = bounds(pieces, lens)
+    pieces = cut(Curves.join(curves), camera, np.concatenate([[-radius, -radius], size + radius]))
+    box, length = bounds(pieces, camera)
     block, piece = _pairs(box, radius, size)
     columns, rows = -(-size // BLOCK)
     contours = Contours(
@@ -212,7 +214,7 @@ def find_contours(view: View) -> Contours:
         table=table,
         first_face=first_faces(view.scene),
         pose=pose,
-        lens=lens,
+        camera=camera,
         pieces=pieces,
         box=box,
         columns=int(columns),
@@ -222,24 +224,6 @@ def find_contours(view: View) -> Contours:
         samples=np.zeros(columns * rows),
     )
     return _weighted(contours, block, length)
-
-
-def _lens(view: View) -> Lens:
-    """The sensor's map from directions to the film, read off its own rays."""
-    import mitsuba as mi
-
-    grid = np.stack(np.meshgrid(*(np.linspace(0.0, n, 9) for n in view.size)), axis=-1).reshape(-1, 2)
-    film = mi.Point2f(*(upload(mi.Float, x) for x in grid.T))
-    direction = download(camera_ray(view, film, mi.Point2f(0.5, 0.5))[0].d)
-    scale, offset = np.array(
-        [np.polyfit(grid[:, j], direction[j] / direction[2], 1) for j in range(2)], dtype=np.float64
-    ).T
-    params = mi.traverse(view.sensor)
-    if "aperture_radius" not in params:
-        return Lens(scale, offset, view.near_clip)
-    # Entry by entry: NumPy's conversion would evaluate literals, and the next view would need new kernels.
-    radius, focus = (float(params[k][0]) for k in ("aperture_radius", "focus_distance"))
-    return Lens(scale, offset, view.near_clip, radius, focus)
 
 
 def _pairs(box: Floats, radius: float, size: Ints) -> tuple[Ints, Ints]:
@@ -281,7 +265,7 @@ def _weighted(contours: Contours, block: Ints, length: Floats) -> Contours:
             jump = contours.jump(Sides(*map(np.asarray, sides)), placed, np.arange(n), centre)
             seen += 0.5 * jump * placed.seen[:, 2]
     arc = length[piece]
-    if contours.lens.radius == 0.0:
+    if contours.camera.radius == 0.0:
         # A pinhole knows how much of each piece lies in the block's reach.
         box, middle = contours.reach(block), np.full(len(piece), 0.5)
         arc = contours.place(piece, middle, np.zeros((len(piece), 3)), box).length

@@ -22,14 +22,14 @@ from typing import TYPE_CHECKING
 import drjit as dr
 import numpy as np
 
+from ..render.arrays import upload
 from ..render.paths import IntegratorTracer, Numbers, PathTracer, Seen
-from ..render.pixels import upload
 from ..render.scene import contents
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
-    from ..render.scene import View
+    from ..render.view import View
 
 STEP_PIXELS = 0.1
 """Image motion of the step δ where radiance varies with direction [pixel]."""
@@ -78,7 +78,7 @@ class ViewTerm:
             return None
         needs = np.full(max(index) + 1, DIFFERENCE, dtype=np.uint32)
         needs[index] = found
-        pixel = 1.0 / view.focal_pixels
+        pixel = 1.0 / view.camera.focal_length
         return ViewTerm(
             upload(mi.UInt32, needs),
             lobes,

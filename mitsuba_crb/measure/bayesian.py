@@ -26,12 +26,13 @@ from .. import se3
 from ..bound.cramer_rao import PoseBound, cramer_rao_bound
 from ..bound.prior import PosePrior
 from ..errors import PriorError
-from ..information.fisher import FisherInformation, InformationAccumulator
+from ..information.fisher import FisherInformation
 from ..information.symmetric import pack
 from ..noise import NoiseModel
 from ..render.lending import in_turn
 from ..se3 import Array
-from .measurement import MeasurementOptions, measurement
+from .measurement import measurement
+from .options import MeasurementKeywords
 
 
 @in_turn
@@ -41,7 +42,7 @@ def van_trees(
     prior: PosePrior,
     *,
     draws: int = 32,
-    **options: Unpack[MeasurementOptions],
+    **options: Unpack[MeasurementKeywords],
 ) -> PoseBound:
     """The van Trees bound on the camera's pose, in the camera frame at the prior's mean.
 
@@ -50,7 +51,7 @@ def van_trees(
         noise: as in `pose_bound`; the default follows from the image at the mean.
         prior: positive definite.
         draws: poses drawn from the prior, at least two; each is measured with `spp` paths per pixel.
-        options: see `MeasurementOptions`.
+        options: see `MeasurementKeywords`.
 
     Raises:
         PriorError: the prior leaves a direction open, so that no poses can be drawn, or too few draws.
@@ -60,28 +61,13 @@ def van_trees(
         raise PriorError(f"the average over the prior needs at least two draws, not {draws}")
     with measurement(scene, **options) as run:
         model, origin = run.noise(noise)
-        model.check(run.mask.shape[0], run.mask.shape[1], 3)
         run.warn_of_limits()
-        offsets = _draw(prior.in_frame("camera", run.view.pose), draws, run.seed)
-        informations = []
-        for number, offset in enumerate(offsets, start=1):
-            there = dataclasses.replace(run.at(run.view.pose @ se3.exp(offset)), seed=run.seed + number)
-            accumulator = InformationAccumulator(
-                batches=run.batches,
-                block=there.block,
-                sampled=run.selection.kind == "random",
-                coupled=model.couples_pixels,
-            )
-            there.feed(accumulator, model)
-            informations.append(
-                accumulator.information(
-                    frame="camera",
-                    variable=run.view.variable,
-                    pose=there.view.pose,
-                    length_scale=run.length_scale,
-                    selection=run.selection,
-                )
-            )
+        offsets = _draw(prior.in_frame("camera", run.view.pose), draws, run.options.seed)
+        seed = run.options.seed
+        informations = [
+            run.at(run.view.pose @ se3.exp(offset), seed=seed + number).information(model)
+            for number, offset in enumerate(offsets, start=1)
+        ]
         bound = cramer_rao_bound(prior_average(informations, offsets, run.view.pose), prior=prior)
         provenance = {
             **run.provenance(),

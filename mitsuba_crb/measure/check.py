@@ -21,20 +21,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError
-from ..information.fisher import FisherInformation, ImageJacobian, fisher_information
-from ..jacobian import finite_difference
+from ..information.accumulate import fisher_information
+from ..information.fisher import FisherInformation
+from ..information.image_jacobian import ImageJacobian
+from ..jacobian.methods import METHODS, REFERENCE
 from ..noise import Gaussian
 from ..render.scene import as_scene
-from .measurement import METHODS, MeasurementOptions, measurement
+from .measurement import measurement
+from .options import CHECKING, MeasurementKeywords, MeasurementOptions
 
 AGREEMENT = 0.05
 """The smallest disagreement that a check must be able to see before it may say "agree"."""
 
-DEFAULT_METHODS = ("flow", "forward")
-"""What is checked unless the user names methods."""
-
-DEFAULT_OPTIONS: MeasurementOptions = {"spp": 256, "batches": 8}
-"""More batches than the bound's four, for standard errors that are themselves certain."""
+CHECKED = tuple(name for name in METHODS if name != REFERENCE.name)
+"""What can be checked, and is unless the user names methods."""
 
 _SIGMAS = 3.0
 
@@ -97,7 +97,7 @@ class JacobianCheck:
 
 
 def check_jacobian(
-    scene: Any, *, methods: Sequence[str] = DEFAULT_METHODS, **options: Unpack[MeasurementOptions]
+    scene: Any, *, methods: Sequence[str] = CHECKED, **options: Unpack[MeasurementKeywords]
 ) -> JacobianCheck:
     """Compare methods with finite differences on one view.
 
@@ -105,7 +105,7 @@ def check_jacobian(
         scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
         methods: names of the methods to check.
         options: see `MeasurementOptions`, of which `method` and `step_pixels` are set here; defaults in
-            `DEFAULT_OPTIONS`. Finite differences trace 12 times `spp`, at two steps.
+            `options.CHECKING`. Finite differences trace 12 times `spp`, at two steps.
 
     Returns:
         `JacobianCheck`; its `exit_code` is 0 (agree within what was detectable, and that is at most 5 %), 1
@@ -114,34 +114,30 @@ def check_jacobian(
     Raises:
         OptionError: no method, or an unknown one.
     """
-    unknown = [name for name in methods if name not in METHODS or name == "finite_difference"]
+    unknown = [name for name in methods if name not in CHECKED]
     if unknown or not methods:
-        known = [name for name in METHODS if name != "finite_difference"]
-        raise OptionError(f"methods to check: {', '.join(known)}; got {', '.join(unknown) or 'none'}")
+        raise OptionError(f"methods to check: {', '.join(CHECKED)}; got {', '.join(unknown) or 'none'}")
 
     loaded, _ = as_scene(scene)
-    options = {**DEFAULT_OPTIONS, **options}
-    seed = options.get("seed", 0)
+    options = {**CHECKING, **options}
     with measurement(loaded, **options) as run:
-        options["pixels"] = run.mask
+        options["pixels"], given = run.mask, run.options
 
-    def jacobian(method: str, stream: int, step: float = finite_difference.STEP_PIXELS) -> ImageJacobian:
-        given: MeasurementOptions = {
+    def jacobian(method: str, stream: int, steps: float = 1.0) -> ImageJacobian:
+        own: MeasurementKeywords = {
             **options,
             "method": method,
-            "seed": seed + stream,
-            "step_pixels": step,
+            "seed": given.seed + stream,
+            "step_pixels": steps * MeasurementOptions.step_pixels,
         }
-        with measurement(loaded, **given) as view:
+        with measurement(loaded, **own) as view:
             view.warn_of_limits()
             return view.jacobian()
 
-    reference = jacobian("finite_difference", 1)
+    reference = jacobian(REFERENCE.name, 1)
     noise = Gaussian(float(np.nanmax(np.abs(reference.image))) or 1.0)
     # The same random numbers at both steps, so that their difference is the bias and not the noise.
-    bias = _relative_bias(
-        reference, jacobian("finite_difference", 1, 2 * finite_difference.STEP_PIXELS), noise
-    )
+    bias = _relative_bias(reference, jacobian(REFERENCE.name, 1, 2.0), noise)
     rows = []
     for index, method in enumerate(methods):
         own = jacobian(method, 2 + index)

@@ -15,7 +15,6 @@ import time
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from .. import __version__
 from ..errors import LLVMError
 from ..processes import cores
 from ..render import llvm
@@ -60,7 +59,7 @@ def diagnose() -> Diagnosis:
         Row("Python", f"{platform.python_version()} ({sys.executable})", True),
         Row("platform", platform.platform(), True),
         Row("cores", str(cores()), True),
-        Row("mitsuba_crb", __version__, True),
+        _package("mitsuba_crb"),
         *map(_package, _PACKAGES),
     ]
     try:
@@ -74,7 +73,7 @@ def diagnose() -> Diagnosis:
 
 def trial() -> None:
     """What the process of its own does: reports each stage on standard output; not meant to be called."""
-    from ..render.scene import VARIANT, use_mitsuba
+    from ..render.backend import VARIANT, use_mitsuba
 
     use_mitsuba()
     import drjit as dr
@@ -86,7 +85,7 @@ def trial() -> None:
     import numpy as np
 
     from ..noise import Gaussian
-    from .measurement import pose_bound
+    from .pose import pose_bound
 
     transform = mi.ScalarTransform4f()
     blotches = mi.TensorXf(np.random.default_rng(0).random((8, 8, 3)))

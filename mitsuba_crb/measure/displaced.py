@@ -16,12 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 from .. import se3
 from ..bound.hcr import HCRBound, axis_displacements, hammersley_chapman_robbins
 from ..errors import NoiseError, OptionError, RadianceError
-from ..information.fisher import InformationAccumulator, PixelSelection
+from ..information.accumulate import InformationAccumulator
+from ..information.image_jacobian import PixelSelection
 from ..information.ustatistic import gram, square_root, whiten
 from ..noise import Gaussian, NoiseModel, PerChannel, PerPixel
 from ..render.lending import in_turn
 from ..se3 import Array
-from .measurement import Measurement, MeasurementOptions, measurement
+from .measurement import Measurement, measurement
+from .options import DISPLACING, MeasurementKeywords
 
 MOTIONS_PIXELS = (0.5, 2.0, 8.0, 32.0, 128.0)
 """Image motions of the default displacements, up to half of the image's width [pixel]."""
@@ -29,7 +31,6 @@ MOTIONS_PIXELS = (0.5, 2.0, 8.0, 32.0, 128.0)
 FLOAT32_RADIANCE = 1e-6
 """Relative changes of the radiance that float32 rendering does not resolve."""
 
-_TILE = 64  # all displaced images of a tile are held at once
 _PURPOSE = 0x48435242
 
 
@@ -39,7 +40,7 @@ def hcr_bound(
     noise: NoiseModel | None = None,
     *,
     displacements: ArrayLike | None = None,
-    **options: Unpack[MeasurementOptions],
+    **options: Unpack[MeasurementKeywords],
 ) -> HCRBound:
     """The Hammersley–Chapman–Robbins bound on the camera's pose, which sees repetition; one render each.
 
@@ -56,7 +57,7 @@ def hcr_bound(
         NoiseError: noise that is not Gaussian with fixed variances of independent pixels.
         MitsubaCRBError: as `pose_bound`.
     """
-    options = {"tile": _TILE, **options}
+    options = {**DISPLACING, **options}
     with measurement(scene, **options) as run:
         xi = _default(run) if displacements is None else _checked(displacements)
         model, _ = run.noise(noise)
@@ -64,11 +65,10 @@ def hcr_bound(
             raise NoiseError(
                 f"finite displacements need Gaussian noise with fixed variances, not {type(model).__name__}"
             )
-        model.check(run.mask.shape[0], run.mask.shape[1], 3)
         run.warn_of_limits()
         sampled = run.selection.kind == "random"
-        local = InformationAccumulator(batches=run.batches, block=run.block, sampled=sampled)
-        sums = _Sums(run.batches, len(xi), sampled)
+        local = InformationAccumulator(batches=run.options.batches, block=run.block, sampled=sampled)
+        sums = _Sums(run.options.batches, len(xi), sampled)
         for part in run.tiles():
             weights = model.weights(part.pixels, part.mean)
             local.add(part.batch_values, weights, part.pixels)
@@ -119,26 +119,18 @@ class _Sums:
 
 def _changes(run: Measurement, pixels: NDArray[np.int64], xi: Array) -> Array:
     """δ (K, n, 3, m), each batch with its own random numbers, the same for all poses."""
-    from ..render.pixels import render_pixels
-
-    def render(pose: Array) -> Array:
-        spp = run.spp // run.batches
-        return render_pixels(
-            run.view, pixels, spp=spp, seed=run.seed, batches=run.batches, pose=pose, purpose=_PURPOSE
-        )
-
-    here = render(run.view.pose)
-    changes = np.stack([render(run.view.pose @ se3.exp(x)) - here for x in xi], axis=-1)
+    here = run.render(pixels, _PURPOSE)
+    poses = [run.view.pose @ se3.exp(x) for x in xi]
+    changes = np.stack([run.render(pixels, _PURPOSE, pose=pose) - here for pose in poses], axis=-1)
     if not np.isfinite(changes).all():
         raise RadianceError("a displaced image has radiance that is NaN or infinite; mend the scene there")
     return changes
 
 
 def _default(run: Measurement) -> Array:
-    width, height = run.view.size
-    motions = [motion for motion in MOTIONS_PIXELS if motion <= max(0.5 * width, MOTIONS_PIXELS[0])]
-    radius = max(float(np.hypot(width, height)) / np.sqrt(12.0), 1.0)
-    return axis_displacements(motions, run.view.focal_pixels, radius, run.length_scale)
+    widest = max(0.5 * run.view.size[0], MOTIONS_PIXELS[0])
+    motions = [motion for motion in MOTIONS_PIXELS if motion <= widest]
+    return axis_displacements(motions, run.view.camera, run.length_scale)
 
 
 def _checked(displacements: ArrayLike) -> Array:

@@ -20,19 +20,20 @@ from __future__ import annotations
 import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import NuisanceError
+from ..jacobian.method import Method, Paths
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
+    from ..jacobian.film_flow import FilmFlow
     from ..jacobian.parameter import SceneParameter
-    from ..render.film import FilmFlow
-    from ..render.scene import View
+    from ..render.view import View
 
 NAMES = ("gain", "black", "fov", "principal_point")
 """Nuisances that are no parameters of the scene."""
@@ -61,20 +62,20 @@ class Nuisance:
     width: int
     """Number of its columns."""
     film_flows: tuple[FilmFlow, ...] = ()
-    """What `flow` has to follow beside the pose."""
+    """What the method has to follow beside the pose."""
     rendered: tuple[SceneParameter, ...] = ()
     """What needs renders of its own."""
 
-    def columns(self, view: View, pixels: Pixels, images: Floats, film: Floats, **paths: int) -> list[Floats]:
+    def columns(self, view: Any, pixels: Pixels, images: Floats, film: Floats, paths: Paths) -> list[Floats]:
         """(batches, n, 3, ·) each, `width` columns in all; arguments as of `nuisance_columns`."""
         if self.film_flows:
             return [film]
         if self.rendered:
-            return [parameter.columns(view, pixels, **paths) for parameter in self.rendered]
+            return [parameter.columns(view, pixels, paths) for parameter in self.rendered]
         return [images[..., None] if self.name.startswith("gain") else np.ones((*images.shape, 1))]
 
 
-def open_nuisances(view: View, names: Sequence[str], method: str) -> tuple[Nuisance, ...]:
+def open_nuisances(view: View, names: Sequence[str], method: type[Method]) -> tuple[Nuisance, ...]:
     """The nuisances of these names in a view.
 
     Raises:
@@ -90,21 +91,18 @@ def open_nuisances(view: View, names: Sequence[str], method: str) -> tuple[Nuisa
 
 def nuisance_columns(
     nuisances: Sequence[Nuisance],
-    view: View,
+    view: Any,
     pixels: Pixels,
     images: Floats,
     film: Floats,
-    *,
-    spp: int,
-    seed: int,
-    batches: int,
+    paths: Paths,
 ) -> Floats:
     """The columns of all nuisances at some pixels.
 
     Args:
         images: (batches, n, 3) each batch's own image [radiance].
-        film: (batches, n, 3, q) what `flow` measured of all `film_flows`.
-        spp: paths per pixel over all batches.
+        film: (batches, n, 3, q) what the method measured of all `film_flows`.
+        paths: those of the pose's columns.
 
     Returns:
         (batches, n, 3, m) [radiance per unit of the parameter].
@@ -113,21 +111,21 @@ def nuisance_columns(
     for nuisance in nuisances:
         stop = start + len(nuisance.film_flows)
         own = film[..., start:stop]
-        found += nuisance.columns(view, pixels, images, own, spp=spp, seed=seed, batches=batches)
+        found += nuisance.columns(view, pixels, images, own, paths)
         start = stop
     return np.concatenate(found, axis=-1)
 
 
-def _open(view: View, name: str, method: str) -> Nuisance:
+def _open(view: View, name: str, method: type[Method]) -> Nuisance:
     import mitsuba as mi
 
+    from ..jacobian.film_flow import field_of_view, principal_point
     from ..jacobian.parameter import sensor_parameters
-    from ..render.film import field_of_view, principal_point
 
     base, _, suffix = name.partition(":")
     if base in ("gain", "black") and (not suffix or suffix.isdigit()):
         return Nuisance(name, "the image itself" if base == "gain" else "exact", 1)
-    if name in NAMES and method == "flow":
+    if name in NAMES and method.follows_film:
         flows = (field_of_view(view),) if name == "fov" else principal_point()
         return Nuisance(name, "filter term", len(flows), film_flows=flows)
     if name in NAMES:
@@ -180,13 +178,13 @@ def _works(parameter: SceneParameter, view: View) -> bool:
     """Whether forward mode gives derivatives that are finite and not all zero, on a few pixels."""
     from mitsuba.python.ad.integrators.common import ADIntegrator
 
-    from ..render.pixels import coarse_grid
+    from ..render.rays import coarse_grid
 
     if isinstance(view.integrator, ADIntegrator):
         return False  # its primal mode detaches all parameters
     pixels = coarse_grid(view.size, _PROBE).reshape(-1, 2)
     try:
-        values = parameter.columns(view, pixels, spp=4, seed=0, batches=1)
+        values = parameter.columns(view, pixels, Paths(4, 0, 1))
     except Exception:  # Dr.Jit raises RuntimeError, TypeError and others for what it cannot differentiate
         return False
     return bool(np.isfinite(values).all() and values.any(axis=(0, 1, 2)).all())

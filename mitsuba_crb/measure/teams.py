@@ -24,7 +24,8 @@ from ..bound.cramer_rao import PoseBound
 from ..errors import MitsubaCRBError
 from ..processes import each
 from ..render.scene import load_scene
-from .measurement import TileJacobian, pose_bound
+from .pose import pose_bound
+from .tile_jacobian import TileJacobian
 from .tiles import tile_information
 
 T = TypeVar("T")

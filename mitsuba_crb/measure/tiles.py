@@ -13,12 +13,13 @@ import numpy as np
 
 from ..agents.message import message_size
 from ..agents.quantisation import Form, Precision
-from ..agents.tile_grid import MINIMUM_HALVED_BATCHES, TileGrid
+from ..agents.tile_grid import TileGrid
 from ..agents.tiles import TileInformation, correlated_refusal
 from ..errors import SelectionError
 from ..noise import CoupledNoise, NoiseModel
 from ..render.lending import in_turn
-from .measurement import MeasurementOptions, measurement
+from .measurement import measurement
+from .options import CHOOSING, MeasurementKeywords
 
 TILE_SIZE = 32
 """Default side of the tiles [pixel]."""
@@ -34,7 +35,7 @@ def tile_information(
     form: Form = "factor",
     precision: Precision = "float32",
     rank: int = 6,
-    **options: Unpack[MeasurementOptions],
+    **options: Unpack[MeasurementKeywords],
 ) -> TileInformation:
     """What every tile of one agent's image tells about its camera's pose.
 
@@ -46,7 +47,7 @@ def tile_information(
         form: of the messages whose size is the tiles' cost.
         precision: of these messages.
         rank: of these messages, if they are sketches.
-        options: see `MeasurementOptions`; `batches` at least 8, the default, since each half of them is an
+        options: see `MeasurementKeywords`; `batches` at least 8, the default, since each half of them is an
             estimate of its own.
 
     Returns:
@@ -56,17 +57,16 @@ def tile_information(
         SelectionError: the noise is correlated between pixels, whose tiles do not add.
         MitsubaCRBError: as `pose_bound`.
     """
-    options = {"batches": MINIMUM_HALVED_BATCHES, **options}
+    options = {**CHOOSING, **options}
     with measurement(scene, **options) as run:
         name = run.view.variable if agent is None else agent
         variable = run.view.variable
         cost = message_size(agent=name, variable=variable, form=form, precision=precision, rank=rank)
         sampled = run.selection.kind == "random"
-        grid = TileGrid(run.view.size, tile_size, batches=run.batches, sampled=sampled)
+        grid = TileGrid(run.view.size, tile_size, batches=run.options.batches, sampled=sampled)
         model, _ = run.noise(noise)
         if isinstance(model, CoupledNoise):
             raise SelectionError(correlated_refusal([name]))
-        model.check(run.mask.shape[0], run.mask.shape[1], 3)
         run.warn_of_limits()
         for part in run.tiles(pilot=model.depends_on_mean):
             grid.add(part.batch_values, model.weights(part.pixels, part.expected), part.pixels)

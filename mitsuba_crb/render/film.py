@@ -1,13 +1,7 @@
-"""What acts on the film alone: field of view and principal point, by the filter term.
+"""The film's reconstruction filter, normalised, and how film points are drawn from it.
 
-Camera-frame directions (x, y, 1) meet the film at v = c + f (x, y), c the principal point, f the focal
-lengths. Changing either moves the image of every material point by an affine flow w(v) = s v + o, however far
-it is and whatever light it sends. So neither parallax nor view counts and, as in `flow`, with ∇·w = 2 s,
-
-    ∂I_u/∂θ = ∫ (L − Ī_u) ∇·(h_u w) dv,   ∇·(h w) = ∇h·w + 2 s h.
-
-Field of view α: f ∝ 1/tan(α/2), hence w = −(v − c) / sin α. Principal point: w is constant.
-Source: design sections 4.1 and 5.
+Weights are h/density, so there is no splatting, no weight normalisation and no cut at the film's border.
+Source: design section 4; Pharr et al., PBRT 4e, 8.8.
 """
 
 from __future__ import annotations
@@ -19,64 +13,87 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from .pixels import camera_ray
-
 if TYPE_CHECKING:
     import mitsuba as mi
 
-    from .scene import View
+from .arrays import upload
 
 
 @dataclass(frozen=True)
-class FilmFlow:
-    """w(v) = s v + o, the motion of film points per unit of a parameter [pixel]."""
+class OffsetTable:
+    """Draws x from a tabulated density on [−radius, radius] by its inverse distribution function."""
 
-    scale: mi.Float
-    """s."""
-    offset: mi.Vector2f
-    """o [pixel]."""
+    nodes: mi.Float
+    """Quantiles x_0 < … < x_N at u = 0, 1/N, …, 1 [pixel]."""
+    count: int
+    """N."""
 
     @staticmethod
-    def of(scale: float, offset: NDArray[np.float64]) -> FilmFlow:
-        """As kernel input, so that other values need no new kernel."""
+    def of(density: NDArray[np.float64], radius: float, count: int = 1024) -> OffsetTable:
+        """From samples of an unnormalised non-negative density on a uniform grid over [−radius, radius]."""
         import mitsuba as mi
 
-        return FilmFlow(
-            dr.opaque(mi.Float, scale), mi.Vector2f(*(dr.opaque(mi.Float, float(value)) for value in offset))
-        )
+        grid = np.linspace(-radius, radius, density.size)
+        # A floor keeps the density positive wherever the filter is, so that h/density stays bounded.
+        density = np.maximum(density, 1e-3 * density.max())
+        mass = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]))])
+        nodes = np.interp(np.linspace(0.0, 1.0, count + 1), mass / mass[-1], grid)
+        return OffsetTable(upload(mi.Float, nodes), count)
+
+    def sample(self, u: mi.Float) -> tuple[mi.Float, mi.Float]:
+        """Offset x [pixel] and its density [1/pixel]."""
+        import mitsuba as mi
+
+        scaled = u * self.count
+        cell = dr.minimum(mi.UInt32(scaled), self.count - 1)
+        low = dr.gather(mi.Float, self.nodes, cell)
+        width = dr.gather(mi.Float, self.nodes, cell + 1) - low
+        return dr.fma(scaled - mi.Float(cell), width, low), dr.rcp(width * self.count)
 
 
 @dataclass(frozen=True)
-class FilmMap:
-    """v = c + f (x, y) for camera-frame directions (x, y, 1)."""
+class PixelFilter:
+    """The film's separable reconstruction filter h(x) h(y), normalised, and how to draw from |h|."""
 
-    focal: NDArray[np.float64]
-    """(2,) f, with signs [pixel]."""
-    centre: NDArray[np.float64]
-    """(2,) c, where the optical axis meets the film [pixel]."""
+    rfilter: mi.ReconstructionFilter
+    radius: float
+    """Half width [pixel]."""
+    norm: float
+    """∫ of Mitsuba's unnormalised one-dimensional filter."""
+    table: OffsetTable
+    values: NDArray[np.float64]
+    """h in the middle of even cells of [−radius, radius] [1/pixel]."""
 
     @staticmethod
-    def of(view: View) -> FilmMap:
-        """Measured on the film's corners."""
+    def of(rfilter: mi.ReconstructionFilter) -> PixelFilter:
+        """For one filter."""
         import mitsuba as mi
 
-        width, height = view.size
-        film = mi.Point2f([0.0, width], [0.0, height])
-        ray, _ = camera_ray(view, film, mi.Point2f(0.5, 0.5))
-        tangent = np.array([ray.d.x / ray.d.z, ray.d.y / ray.d.z], dtype=np.float64)
-        focal = np.array([width, height]) / (tangent[:, 1] - tangent[:, 0])
-        return FilmMap(focal, -focal * tangent[:, 0])
+        radius = float(rfilter.radius())
+        # Midpoints: a filter's value exactly on its border (box) is a matter of convention.
+        edges = np.linspace(-radius, radius, 8193)
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        values = np.array(rfilter.eval(upload(mi.Float, middle)), dtype=np.float64)
+        norm = float(values.sum() * (edges[1] - edges[0]))
+        density = np.abs(np.interp(edges, middle, values))
+        return PixelFilter(rfilter, radius, norm, OffsetTable.of(density, radius), values / norm)
 
+    def eval(self, x: mi.Float) -> mi.Float:
+        """h(x) [1/pixel] in one dimension."""
+        return self.rfilter.eval(x) / self.norm
 
-def field_of_view(view: View) -> FilmFlow:
-    """The flow per degree of the horizontal field of view; the aspect ratio stays."""
-    import mitsuba as mi
+    def interpolate(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """h(x) [1/pixel] in one dimension, to what float32 leaves of it (3e-5); zero beyond the radius."""
+        place = (x / self.radius + 1.0) * (0.5 * len(self.values)) - 0.5
+        cell = np.clip(place.astype(np.int64), 0, len(self.values) - 2)
+        low = self.values[cell]
+        h = low + (place - cell) * (self.values[cell + 1] - low)
+        return np.where(np.abs(x) <= self.radius, h, 0.0)
 
-    x_fov = float(np.asarray(mi.traverse(view.sensor)["x_fov"]).ravel()[0])
-    scale = -np.radians(1.0) / np.sin(np.radians(x_fov))
-    return FilmFlow.of(scale, -scale * FilmMap.of(view).centre)
+    def sample(self, u: mi.Point2f) -> tuple[mi.Point2f, mi.Float]:
+        """Offset from the pixel's centre [pixel] and its weight h/density, of mean one."""
+        import mitsuba as mi
 
-
-def principal_point() -> tuple[FilmFlow, FilmFlow]:
-    """The flows per pixel of the principal point along x and along y."""
-    return FilmFlow.of(0.0, np.array([1.0, 0.0])), FilmFlow.of(0.0, np.array([0.0, 1.0]))
+        x, density_x = self.table.sample(u.x)
+        y, density_y = self.table.sample(u.y)
+        return mi.Point2f(x, y), self.eval(x) * self.eval(y) / (density_x * density_y)

@@ -20,7 +20,7 @@ from .pixels import known_integrator, radiance
 if TYPE_CHECKING:
     import mitsuba as mi
 
-    from .scene import View
+    from .view import View
 
 
 Numbers: TypeAlias = "tuple[mi.Point2f, mi.Point2f]"

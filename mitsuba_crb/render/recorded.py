@@ -23,7 +23,7 @@ from .scene import contents
 if TYPE_CHECKING:
     import mitsuba as mi
 
-    from .scene import View
+    from .view import View
 
 
 @contextlib.contextmanager

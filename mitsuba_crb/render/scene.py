@@ -10,67 +10,18 @@ new pose nor a geo-referenced origin costs digits or a new kernel.
 from __future__ import annotations
 
 import contextlib
-import functools
 import os
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from .. import processes, se3
-from ..errors import FilmError, IntegratorError, PoseError, SceneError, SensorError, VariantError
-from . import llvm
-from .lending import at_identity, turns
+from ..errors import SceneError
+from .backend import use_mitsuba
+from .lending import turns
 
 if TYPE_CHECKING:
     import mitsuba as mi
-
-    from .pixels import PixelFilter
-    from .recorded import Recorder
-
-VARIANT = "llvm_ad_rgb"
-SENSORS = {"PerspectiveCamera": "perspective", "ThinLensCamera": "thinlens"}
-"""Supported sensors: Mitsuba's class name, and the plugin's."""
-
-_NO_RADIANCE = {
-    "AOVIntegrator": "aov",
-    "MomentIntegrator": "moment",
-    "DepthIntegrator": "depth",
-    "StokesIntegrator": "stokes",
-    "ParticleTracerIntegrator": "ptracer",
-}
-
-
-def use_mitsuba() -> None:
-    """Find an LLVM, import Mitsuba, select `llvm_ad_rgb` if no variant is set; a worker keeps to its cores.
-
-    Raises:
-        LLVMError: no usable LLVM.
-        VariantError: Mitsuba is not installed, or another variant is already set.
-    """
-    llvm.configure()
-    try:
-        import mitsuba as mi
-    except ImportError as error:
-        raise VariantError(
-            f"Mitsuba cannot be imported ({error}); install it with: pip install mitsuba"
-        ) from error
-    if mi.variant() is None:
-        mi.set_variant(VARIANT)
-        mi.set_log_level(mi.LogLevel.Error)
-    elif mi.variant() != VARIANT:
-        raise VariantError(
-            f"Mitsuba already runs in variant {mi.variant()}, and {VARIANT} is needed: call "
-            f"mitsuba.set_variant('{VARIANT}') before loading scenes"
-        )
-    if processes.is_worker():
-        import drjit as dr
-
-        dr.set_thread_count(processes.cores())
 
 
 @contextlib.contextmanager
@@ -142,110 +93,6 @@ def _parser_message(error: Exception, file: Path) -> str:
     return f"{text.rstrip('!.')}; {cure}"
 
 
-@dataclass(frozen=True)
-class View:
-    """One camera in one scene, checked, with its rays in the camera's own frame while the view is open."""
-
-    scene: mi.Scene
-    """The Mitsuba scene."""
-    sensor: mi.Sensor
-    """The sensor, standing at the identity."""
-    integrator: mi.SamplingIntegrator
-    """What gives radiance for rays."""
-    pose: NDArray[np.float64]
-    """`world_from_camera`, 4x4, rigid."""
-    size: tuple[int, int]
-    """Width and height of the image [pixel]; with a crop window, of that window."""
-    variable: str
-    """The camera's name: the sensor's id, or its index."""
-    label: str
-    """The scene's file, or what kind of object it came from."""
-    recorder: Recorder
-    """Of the scene's kernels."""
-
-    @property
-    def focal_pixels(self) -> float:
-        """Focal length along x [pixel]."""
-        import mitsuba as mi
-
-        params = mi.traverse(self.sensor)
-        full_width = float(params["film.size"][0])
-        x_fov = np.radians(float(params["x_fov"][0]))
-        return full_width / (2.0 * float(np.tan(x_fov / 2.0)))
-
-    @functools.cached_property
-    def pixel_filter(self) -> PixelFilter:
-        """The film's reconstruction filter, tabulated once, for it waits for what runs in the background."""
-        from .pixels import PixelFilter
-
-        return PixelFilter.of(self.sensor.film().rfilter())
-
-    @functools.cached_property
-    def visible_depth(self) -> NDArray[np.float64]:
-        """Finite depths along the optical axis through a coarse grid of pixels [scene unit]."""
-        from .pixels import coarse_grid, first_hits
-
-        _, depth = first_hits(self, coarse_grid(self.size, 96).reshape(-1, 2))
-        visible = depth[np.isfinite(depth) & (depth > 0)]
-        visible.flags.writeable = False
-        return visible
-
-    @property
-    def near_clip(self) -> float:
-        """Distance of the near plane [scene unit]."""
-        return float(self.sensor.near_clip())
-
-
-_kept: list[tuple[mi.Scene, Recorder]] = []
-"""The last scene that was given as such."""
-
-
-@contextlib.contextmanager
-def open_view(
-    scene: str | os.PathLike[str] | Mapping[str, Any] | mi.Scene,
-    *,
-    sensor: int | str = 0,
-    pose: Any = None,
-    integrator: Any = None,
-    size: tuple[int, int] | None = None,
-) -> Iterator[View]:
-    """Load what is not loaded, check it, and lend it as a `View`; restores the sensor afterwards.
-
-    An `mi.Scene` is kept, with its kernels as long as its parameters stay, until another one is opened.
-    Another thread's view waits until this one is closed.
-
-    Args:
-        scene: path of an XML file, a dictionary for `mi.load_dict`, or an `mi.Scene`.
-        sensor: index in the file's order, or id.
-        pose: `world_from_camera` (4x4 or SciPy `RigidTransform`) in place of the file's `to_world`.
-        integrator: an `mi.Integrator`, a plugin's name, or a dictionary, in place of the scene's.
-        size: width and height in place of the film's [pixel]; removes a crop window.
-
-    Raises:
-        SceneError, SensorError, FilmError, IntegratorError, PoseError, OptionError, VariantError, LLVMError.
-    """
-    with turns:
-        if _kept and _kept[0][0] is not scene:
-            _kept.clear()
-        loaded, label = as_scene(scene)
-        from .recorded import Recorder
-
-        recorder = Recorder(loaded)
-        if _kept and _kept[0][1].fits(recorder):
-            recorder = _kept[0][1]
-        _kept[:] = [(loaded, recorder)] if loaded is scene else []
-        camera, variable = _find_sensor(loaded, sensor)
-        _check_film(camera.film())
-        radiance = _find_integrator(loaded, integrator)
-        with at_identity(camera, variable, size) as to_world:
-            world_from_camera = (
-                _rigid(to_world, "the sensor's to_world") if pose is None else se3.as_pose(pose)
-            )
-            width, height = camera.film().crop_size()
-            size = int(width), int(height)
-            yield View(loaded, camera, radiance, world_from_camera, size, variable, label, recorder)
-
-
 def as_scene(scene: Any) -> tuple[mi.Scene, str]:
     """The scene of a path, a dictionary or a scene, and what to call it.
 
@@ -297,79 +144,3 @@ def _loaded(scene: Any) -> tuple[mi.Scene, str]:
     if isinstance(scene, str | os.PathLike):
         return load_scene(scene), os.fspath(scene)
     raise SceneError(f"a scene is a path, a dictionary or an mi.Scene, not {type(scene).__name__}")
-
-
-def _find_sensor(scene: mi.Scene, which: int | str) -> tuple[mi.Sensor, str]:
-    sensors = scene.sensors()
-    if not sensors:
-        raise SensorError("the scene has no sensor: add a <sensor type='perspective'>")
-    named = [re.sub(r"^(object_|_unnamed_).*", "", s.id()) for s in sensors]
-    if isinstance(which, str) and which in named:
-        index = named.index(which)
-    elif isinstance(which, str) and not re.fullmatch(r"-?\d+", which):
-        known = ", ".join(name for name in named if name) or "none"
-        raise SensorError(
-            f"the scene has no sensor with id {which!r}; ids: {known}; indices: 0 to {len(sensors) - 1}"
-        )
-    else:
-        index = int(which)
-        if not 0 <= index < len(sensors):
-            raise SensorError(
-                f"sensor index {index} is out of range: the scene has {len(sensors)}, 0 to {len(sensors) - 1}"
-            )
-    sensor = sensors[index]
-    if sensor.class_name() not in SENSORS:
-        raise SensorError(
-            f"sensor {named[index] or index} is a {sensor.class_name()}; "
-            f"supported: {', '.join(SENSORS.values())}"
-        )
-    return sensor, named[index] or f"sensor {index}"
-
-
-def _check_film(film: mi.Film) -> None:
-    if film.class_name() != "HDRFilm":
-        raise FilmError(f"the film is a {film.class_name()}; use hdrfilm with pixel_format rgb")
-    found = re.search(r"pixel_format = (\w+)", str(film))
-    pixel_format = found.group(1) if found else "unknown"
-    if pixel_format != "rgb":
-        name = {"y": "luminance", "ya": "luminance_alpha"}.get(pixel_format, pixel_format)
-        raise FilmError(
-            f"the film's pixel_format is {name}, which does not measure linear RGB alone; set it to rgb"
-        )
-
-
-def _find_integrator(scene: mi.Scene, integrator: Any) -> mi.SamplingIntegrator:
-    import mitsuba as mi
-
-    if integrator is None:
-        found = scene.integrator() or mi.load_dict({"type": "path"})
-    elif isinstance(integrator, str | Mapping):
-        config = {"type": integrator} if isinstance(integrator, str) else dict(integrator)
-        try:
-            found = mi.load_dict(config)
-        except Exception as error:
-            raise IntegratorError(_parser_message(error, Path("integrator"))) from error
-    else:
-        found = integrator
-    if found.class_name() in _NO_RADIANCE or not isinstance(found, mi.SamplingIntegrator):
-        name = _NO_RADIANCE.get(found.class_name(), found.class_name())
-        raise IntegratorError(
-            f"integrator {name} returns no radiance for a ray; use path, direct, volpath or another "
-            "that does (integrator='path')"
-        )
-    return found
-
-
-def _rigid(matrix: NDArray[np.float64], name: str) -> NDArray[np.float64]:
-    """The nearest rigid motion to a float32 one; a scale or reflection is an error."""
-    if not np.isfinite(matrix).all():
-        raise PoseError(f"{name} holds NaN or infinity; give it a rigid motion")
-    u, singular, vt = np.linalg.svd(matrix[:3, :3])
-    if np.linalg.det(matrix[:3, :3]) < 0:
-        raise PoseError(f"{name} is a reflection (determinant < 0); remove the negative scale")
-    if np.max(np.abs(singular - 1.0)) > 1e-3:
-        raise PoseError(f"{name} scales by {np.array2string(singular, precision=4)}; remove the scale")
-    rigid = np.eye(4)
-    rigid[:3, :3] = u @ vt
-    rigid[:3, 3] = matrix[:3, 3]
-    return rigid

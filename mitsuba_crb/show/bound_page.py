@@ -14,8 +14,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from ..export.documents import Pictures
 from ..files import atomic
+from ..measure.pictures import Pictures
 from .plot import (
     AXIS_NAMES,
     MUTED,

@@ -14,7 +14,6 @@ from scipy.linalg import expm
 
 from mitsuba_crb import se3
 from mitsuba_crb.agents.bundle import (
-    Pinhole,
     PointView,
     bundle_adjustment,
     joint_point_information,
@@ -22,9 +21,10 @@ from mitsuba_crb.agents.bundle import (
 )
 from mitsuba_crb.agents.pose_graph import JointPoseInformation, PoseGraph
 from mitsuba_crb.bound.cramer_rao import cramer_rao_bound
+from mitsuba_crb.camera import Camera
 from mitsuba_crb.errors import FusionError, PointsError
 
-CAMERA = Pinhole(focal=(520.0, 480.0), centre=(310.0, 250.0))
+CAMERA = Camera.pinhole(focal=(520.0, 480.0), centre=(310.0, 250.0), size=(640, 480))
 SIGMA = 0.7
 
 

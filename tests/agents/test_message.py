@@ -19,7 +19,8 @@ from mitsuba_crb.agents.message import decode, encode, message_size
 from mitsuba_crb.agents.quantisation import FORMS, UNIT_ROUNDOFF, kept_fraction, quantise
 from mitsuba_crb.bound.cramer_rao import cramer_rao_bound
 from mitsuba_crb.errors import FrameError, MessageError
-from mitsuba_crb.information.fisher import FisherInformation, PixelSelection
+from mitsuba_crb.information.fisher import FisherInformation
+from mitsuba_crb.information.image_jacobian import PixelSelection
 from mitsuba_crb.information.symmetric import congruence, pack
 
 POSE = se3.exp([1.0, -2.0, 0.5, 0.4, -0.3, 0.8])

@@ -11,7 +11,8 @@ from scipy import stats
 from mitsuba_crb import se3
 from mitsuba_crb.bound.consistency import LEVELS, consistency, wishart_band
 from mitsuba_crb.errors import TrialError
-from mitsuba_crb.information.fisher import FisherInformation, PixelSelection
+from mitsuba_crb.information.fisher import FisherInformation
+from mitsuba_crb.information.image_jacobian import PixelSelection
 
 POSE = se3.exp([5.0, -3.0, 2.0, 0.3, 1.0, -0.5])
 

@@ -17,7 +17,8 @@ from mitsuba_crb import se3
 from mitsuba_crb.bound.coordinates import NAMES, coordinates_of, to_coordinates
 from mitsuba_crb.bound.cramer_rao import cramer_rao_bound
 from mitsuba_crb.errors import CoordinatesError
-from mitsuba_crb.information.fisher import FisherInformation, PixelSelection
+from mitsuba_crb.information.fisher import FisherInformation
+from mitsuba_crb.information.image_jacobian import PixelSelection
 
 POSE = se3.exp([1.0, -2.0, 0.5, 0.4, -0.3, 0.8])
 POINTS = np.random.default_rng(0).uniform([-2, -2, 3], [2, 2, 8], (12, 3)) @ POSE[:3, :3].T + POSE[:3, 3]

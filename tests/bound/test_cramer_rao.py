@@ -18,8 +18,10 @@ from scipy.spatial.transform import Rotation
 from mitsuba_crb import se3
 from mitsuba_crb.bound.cramer_rao import cramer_rao_bound
 from mitsuba_crb.errors import FrameError, OptionError, PrecisionWarning
-from mitsuba_crb.information.fisher import FisherInformation, InformationAccumulator, PixelSelection
+from mitsuba_crb.information.accumulate import InformationAccumulator
+from mitsuba_crb.information.fisher import FisherInformation
 from mitsuba_crb.information.identifiability import identify
+from mitsuba_crb.information.image_jacobian import PixelSelection
 from mitsuba_crb.information.symmetric import pack, unpack
 
 POSE = se3.exp([1.0, -2.0, 0.5, 0.4, -0.3, 0.8])

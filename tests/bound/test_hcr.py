@@ -14,8 +14,10 @@ from matrices import misfit
 
 from mitsuba_crb import se3
 from mitsuba_crb.bound.hcr import axis_displacements, chapman_robbins, hammersley_chapman_robbins
+from mitsuba_crb.camera import Camera
 from mitsuba_crb.errors import OptionError
-from mitsuba_crb.information.fisher import FisherInformation, PixelSelection
+from mitsuba_crb.information.fisher import FisherInformation
+from mitsuba_crb.information.image_jacobian import PixelSelection
 
 RNG = np.random.default_rng(5)
 WAVES, PHASES = RNG.normal(size=(60, 6)), RNG.uniform(0, 2 * np.pi, 60)
@@ -210,9 +212,11 @@ def test_maximum_likelihood_mistakes_one_place_for_another_where_the_bound_says_
 
 
 def test_axis_displacements_move_the_image_by_what_they_say():
-    xi = axis_displacements([2.0, 8.0], focal=100.0, radius=20.0, length_scale=3.0)
+    camera = Camera.pinhole(100.0, centre=(30.0, 40.0), size=(60, 80))
+    xi = axis_displacements([2.0, 8.0], camera, length_scale=3.0)
     assert xi.shape == (24, 6)
-    np.testing.assert_allclose(xi[:6], np.diag([0.06, 0.06, 0.3, 0.02, 0.02, 0.1]))
+    roll = 2.0 * np.sqrt(12.0) / 100.0
+    np.testing.assert_allclose(xi[:6], np.diag([0.06, 0.06, 3.0 * roll, 0.02, 0.02, roll]))
     np.testing.assert_allclose(xi[12:], -xi[:12])
 
 

@@ -25,7 +25,7 @@ from mitsuba_crb.errors import BlindSpotWarning, PoseError, SceneError
 from mitsuba_crb.estimate import trials
 from mitsuba_crb.measure import measurement as measure
 from mitsuba_crb.noise import Gaussian
-from mitsuba_crb.render.scene import open_view
+from mitsuba_crb.render.view import open_view
 
 # Few samples on small images: that standard errors exceed 10 % is expected.
 pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")

@@ -19,9 +19,10 @@ from mitsuba_crb import se3
 from mitsuba_crb.cli import app as cli
 from mitsuba_crb.cli.arguments import parse_defines, parse_pose, parse_size
 from mitsuba_crb.errors import OptionError, PoseError, PrecisionWarning, SceneError
-from mitsuba_crb.estimate import trials
 from mitsuba_crb.measure import check as validation
-from mitsuba_crb.measure import measurement as measure
+from mitsuba_crb.measure import options as measuring
+from mitsuba_crb.measure import pose as measure
+from mitsuba_crb.measure.tile_jacobian import TileJacobian
 from mitsuba_crb.render import scene
 
 WALL = str(Path(__file__).parents[2] / "scenes" / "textured_wall" / "textured_wall.xml")
@@ -42,7 +43,7 @@ def rendered(monkeypatch):
         warnings.warn("one thing to know", PrecisionWarning, stacklevel=2)
         view = calls.view
         for count, half in enumerate(np.array_split(np.arange(len(view.pixels)), 2), 1):
-            tile = measure.TileJacobian(view.batch_values[:, half], view.pixels[half], view.mean[half])
+            tile = TileJacobian(view.batch_values[:, half], view.pixels[half], view.mean[half])
             on_tile(tile, count * len(half), len(view.pixels))
         return synthetic_view.bound(view)
 
@@ -201,12 +202,11 @@ def test_a_nuisance_per_tile_is_refused_with_random_pixels(capsys):
 
 @pytest.mark.parametrize(
     ("command", "other"),
-    [(cli.bound, {}), (cli.check, validation.DEFAULT_OPTIONS), (cli.validate, {"spp": trials.DEFAULT_SPP})],
+    [(cli.bound, {}), (cli.check, measuring.CHECKING), (cli.validate, measuring.VALIDATING)],
 )
 def test_defaults_are_the_librarys(command, other):
     ours = {name: option.default for name, option in inspect.signature(command).parameters.items()}
-    theirs = inspect.signature(measure.measurement).parameters
-    defaults = {name: option.default for name, option in theirs.items()} | other
+    defaults = vars(measuring.MeasurementOptions()) | other
     shared = (ours.keys() & defaults.keys()) - {"scene", "sensor", "method"}
     assert {"spp", "seed", "batches", "size", "pose"} <= shared
     for name in shared:
@@ -418,7 +418,7 @@ def test_missing_scene_is_one_line(capsys):
 
 def test_version_and_help_need_nothing_heavy():
     code = """import sys
-from mitsuba_crb import cli
+from mitsuba_crb.cli import app as cli
 assert cli.run(["--version"]) == 0 and cli.run(["--help"]) == 0 and cli.run(["bound", "--help"]) == 0
 heavy = {"mitsuba", "drjit", "numpy", "scipy", "matplotlib", "OpenEXR"} & set(sys.modules)
 sys.exit(", ".join(heavy) or 0)"""

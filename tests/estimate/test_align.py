@@ -15,12 +15,13 @@ from mitsuba_crb import pose_bound, pose_jacobian, se3
 from mitsuba_crb.errors import AlignmentError, NoiseError, RadianceError
 from mitsuba_crb.estimate.align import Alignment, Anchor, align
 from mitsuba_crb.estimate.trials import validate
-from mitsuba_crb.information.fisher import PixelSelection
+from mitsuba_crb.information.image_jacobian import PixelSelection
 from mitsuba_crb.information.subset import selected
 from mitsuba_crb.measure.measurement import measurement
 from mitsuba_crb.noise import SRGB, ColourBlocks, Gaussian, PerPixel, PoissonGaussian, Sensor
 from mitsuba_crb.render.pixels import render_pixels
-from mitsuba_crb.render.scene import as_scene, open_view
+from mitsuba_crb.render.scene import as_scene
+from mitsuba_crb.render.view import open_view
 
 SIGMA = Gaussian(0.01)
 SIZE = (32, 24)

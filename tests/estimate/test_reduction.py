@@ -8,7 +8,7 @@ from small_scenes import camera, scene, texture, wall
 from mitsuba_crb.estimate.reduction import pyramid, reduced, reduced_variance
 from mitsuba_crb.noise import Gaussian, PerPixel
 from mitsuba_crb.render.pixels import render_pixels
-from mitsuba_crb.render.scene import open_view
+from mitsuba_crb.render.view import open_view
 
 
 def test_a_reduced_image_is_what_a_smaller_film_measures() -> None:

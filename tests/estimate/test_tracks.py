@@ -16,10 +16,10 @@ from small_scenes import camera, scene, textured_wall, wall
 from mitsuba_crb import cramer_rao_bound, fisher_information, load_scene, pose_jacobian, se3
 from mitsuba_crb.agents.bundle import bundle_adjustment, point_information
 from mitsuba_crb.errors import NoiseError, OptionError, PixelsError, PointsError, SensorError
-from mitsuba_crb.estimate.tracks import feature_tracks, pinhole, see_points
+from mitsuba_crb.estimate.tracks import feature_tracks, see_points
 from mitsuba_crb.noise import CoupledNoise, Gaussian
 from mitsuba_crb.render.pixels import render_pixels
-from mitsuba_crb.render.scene import open_view
+from mitsuba_crb.render.view import open_view
 
 SIGMA = Gaussian(0.01)
 ROOT = Path(__file__).parents[2]
@@ -78,7 +78,7 @@ class TestCorners:
             image = mitsuba_s_image(view.sensor, points)
             seen = np.isfinite(image).all(axis=1) & (image > 0.0).all(axis=1)
             assert seen.sum() >= 5
-            np.testing.assert_allclose(pinhole(view).project(points)[seen], image[seen], atol=1e-3)
+            np.testing.assert_allclose(view.camera.project(points)[seen], image[seen], atol=1e-3)
 
 
 class TestCovariance:

@@ -13,18 +13,12 @@ from matrices import misfit
 
 from mitsuba_crb.bound.cramer_rao import cramer_rao_bound
 from mitsuba_crb.errors import OutputError
-from mitsuba_crb.export.documents import (
-    COLUMN_NAMES,
-    Gathering,
-    atomic,
-    bound_document,
-    check_target,
-    pictures_of,
-    write_exr,
-    write_json,
-)
-from mitsuba_crb.information.fisher import fisher_information
+from mitsuba_crb.export.documents import atomic, bound_document, write_json
+from mitsuba_crb.export.exr import COLUMN_NAMES, write_exr
+from mitsuba_crb.export.targets import check_target
+from mitsuba_crb.information.accumulate import fisher_information
 from mitsuba_crb.information.pixel_information import information_share
+from mitsuba_crb.measure.pictures import Gathering, pictures_of
 from mitsuba_crb.noise import Gaussian, PoissonGaussian
 
 KEYS = {

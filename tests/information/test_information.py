@@ -16,15 +16,10 @@ from matrices import misfit
 
 from mitsuba_crb import noise, se3
 from mitsuba_crb.errors import FrameError, NoiseError, OptionError, PixelsError, RadianceError
-from mitsuba_crb.information.fisher import (
-    BLOCK,
-    FisherInformation,
-    ImageJacobian,
-    InformationAccumulator,
-    PixelSelection,
-    fisher_information,
-    in_squares,
-)
+from mitsuba_crb.information.accumulate import InformationAccumulator, fisher_information
+from mitsuba_crb.information.blocks import BLOCK, in_squares
+from mitsuba_crb.information.fisher import FisherInformation
+from mitsuba_crb.information.image_jacobian import ImageJacobian, PixelSelection
 from mitsuba_crb.information.symmetric import congruence, pack, positive_part, triangle, unpack
 from mitsuba_crb.information.ustatistic import (
     VarianceComponents,

@@ -9,7 +9,9 @@ import pytest
 from matrices import misfit
 
 from mitsuba_crb.errors import NoiseError, NuisanceError, OptionError, PixelsError
-from mitsuba_crb.information.fisher import BLOCK, InformationAccumulator, PixelSelection
+from mitsuba_crb.information.accumulate import InformationAccumulator
+from mitsuba_crb.information.blocks import BLOCK
+from mitsuba_crb.information.image_jacobian import PixelSelection
 from mitsuba_crb.information.joint import JointAccumulator
 from mitsuba_crb.information.symmetric import pack
 

@@ -14,19 +14,22 @@ from typing import Any, NamedTuple
 import mitsuba as mi
 import numpy as np
 import pytest
+from one_go import measured
 from scipy.integrate import quad
 from scipy.special import ellipe
 from small_scenes import T
 
+from mitsuba_crb.camera import Camera
 from mitsuba_crb.errors import BlindSpotWarning
 from mitsuba_crb.jacobian import finite_difference, flow
-from mitsuba_crb.jacobian.contours import find_contours, parallax_steps
-from mitsuba_crb.jacobian.curves import CIRCLE, RIM, TANGENT, Curves, Lens, cut, place
+from mitsuba_crb.jacobian.contours import ParallaxTerm, find_contours
+from mitsuba_crb.jacobian.curves import CIRCLE, RIM, TANGENT, Curves, cut, place
 from mitsuba_crb.jacobian.edges import EdgeTable
+from mitsuba_crb.jacobian.method import Paths
 from mitsuba_crb.jacobian.silhouettes import Contours
 from mitsuba_crb.jacobian.surfaces import edge_table
 from mitsuba_crb.render.pixels import render_pixels
-from mitsuba_crb.render.scene import View, open_view
+from mitsuba_crb.render.view import View, open_view
 
 WIDTH, HEIGHT, BATCHES = 40, 28, 8
 TILT = T().rotate([0, 0, 1], 30).rotate([1, 0, 0], 20)
@@ -105,7 +108,8 @@ def test_scene_without_meshes_has_no_edges() -> None:
 
 def film_length(*curves: Curves, size: float = 4000.0) -> float:
     """Total length [pixel] of curves seen by a pinhole of focal length 1000 pixels."""
-    lens = Lens(np.array([-1e-3, -1e-3]), np.array([1e-3, 1e-3]) * size / 2, 1e-2)
+    scale = np.array([-1e-3, -1e-3])
+    lens = Camera(scale, -scale * size / 2, (int(size), int(size)), 1e-2)
     pieces = cut(Curves.join(list(curves)), lens, np.array([0.0, 0.0, size, size]))
     n, total = len(pieces), 0.0
     everywhere = np.broadcast_to([-np.inf, -np.inf, np.inf, np.inf], (n, 4))
@@ -249,13 +253,16 @@ def parallax_term(
 ) -> np.ndarray:
     """Of every pixel (batches, n, 3, 6)."""
     terms = np.zeros((batches, len(pixels), 3, 6))
-    *_, (rows, found) = parallax_steps(view, contours, pixels, baseline, batches=batches, **options)
+    term = ParallaxTerm(view, contours, pixels, baseline, Paths(batches=batches, **options))
+    term.launch()
+    term.wait()
+    rows, found = term.result()
     terms[:, rows] = found
     return terms
 
 
 class Given(NamedTuple):
-    """Baselines of lanes in the place of a `flow.Pilot`."""
+    """Baselines of lanes in the place of a `Pilot`."""
 
     arrays: list[Any]
 
@@ -269,7 +276,7 @@ def without_contours(
 ) -> np.ndarray:
     """Filter and view terms (batches, n, 3, 6)."""
     given = Given([mi.Color3f(np.tile(baseline, (options["batches"], 1)).T)])
-    columns, image, _ = flow.filter_and_view_terms(view, prepared, pixels, given, **options)()
+    columns, image, _ = flow.filter_and_view_terms(view, prepared, pixels, given, Paths(**options))()
     return flow.as_arrays([*columns, image], options["batches"])[0]
 
 
@@ -404,9 +411,10 @@ def test_jacobian_of_silhouettes_agrees_with_finite_differences() -> None:
     with open_view(scene(**objects)) as view:
         prepared = flow.prepare(view)
         options = {"seed": 1, "batches": BATCHES}
-        steps = finite_difference.prepare(view, 0.1)
-        ours, _ = flow.jacobian(view, pixels, spp=512, prepared=prepared, **options)
-        theirs, _ = finite_difference.jacobian(view, pixels, spp=2048, prepared=steps, **options)
+        ours, _ = measured(flow.Flow, view, pixels, spp=512, **options)
+        theirs, _ = measured(
+            finite_difference.FiniteDifference, view, pixels, spp=2048, step_pixels=0.1, **options
+        )
         image = render_pixels(view, pixels, spp=16, seed=2)[0]
         without = without_contours(view, prepared, pixels, image, spp=512, **options)
     # Finite differences: bias about −0.7 % at steps of 0.1 pixels, standard error about 1 %; flow's is 0.5 %.

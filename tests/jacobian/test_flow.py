@@ -17,26 +17,22 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from matrices import misfit
+from one_go import measured
 from scipy.stats import norm
 from small_scenes import T, camera, scene, texture, textured_wall, wall
 
 from mitsuba_crb import pose_bound, pose_jacobian, se3
 from mitsuba_crb.errors import FilmError, PrecisionWarning
-from mitsuba_crb.jacobian import flow
+from mitsuba_crb.jacobian import flow, pair_sums
+from mitsuba_crb.jacobian.method import Paths, estimates
 from mitsuba_crb.jacobian.pairs import PairSample, filter_pairs
 from mitsuba_crb.jacobian.view_term import ViewTerm, _turn_of_lobes
 from mitsuba_crb.noise import Gaussian
 from mitsuba_crb.render import paths
-from mitsuba_crb.render.pixels import (
-    Lanes,
-    camera_ray,
-    lane_sampler,
-    move_ray,
-    opaque_transform,
-    render_pixels,
-    seeding,
-)
-from mitsuba_crb.render.scene import View, open_view
+from mitsuba_crb.render.pixels import render_pixels
+from mitsuba_crb.render.random import lane_sampler, seeding
+from mitsuba_crb.render.rays import Lanes, camera_ray, move_ray, opaque_transform
+from mitsuba_crb.render.view import View, open_view
 
 THIN = {"type": "thinlens", "aperture_radius": 0.2, "focus_distance": 2.5}
 
@@ -110,7 +106,7 @@ def test_flow_and_divergence_are_those_of_the_sensor_model(sensor: dict[str, Any
 
         def closed(gradient: tuple[float, float], value: float) -> np.ndarray:
             half = PairSample(mi.Point2f(0.0, 0.0), mi.Vector2f(*gradient), mi.Float(value))
-            got = flow._divergences(
+            got = pair_sums.divergences(
                 half,
                 ray,
                 lens,
@@ -132,7 +128,7 @@ def test_flow_and_divergence_are_those_of_the_sensor_model(sensor: dict[str, Any
 def test_a_plane_through_the_lens_point_gives_no_infinity(normal: tuple[float, float, float]) -> None:
     half = PairSample(mi.Point2f(0.0, 0.0), mi.Vector2f(1.0, 1.0), mi.Float(1.0))
     ray = mi.Ray3f(mi.Point3f(0.0, 0.0, 0.01), mi.Vector3f(0.0, 0.0, 1.0))
-    got = flow._divergences(
+    got = pair_sums.divergences(
         half,
         ray,
         mi.Point3f(0.0),
@@ -147,14 +143,14 @@ def test_a_plane_through_the_lens_point_gives_no_infinity(normal: tuple[float, f
 
 def test_a_rim_weighs_its_mean_where_rounding_decides_its_slant() -> None:
     """Film distance from a sphere's rim is the square of its slant; uniform distances, mean weight to 1 %."""
-    n, width = 1 << 16, 100.0 * flow.RIM
+    n, width = 1 << 16, 100.0 * pair_sums.RIM
     slant = width * np.sqrt((np.arange(n) + 0.5) / n)
     half = PairSample(mi.Point2f(0.0, 0.0), mi.Vector2f(0.0, 0.0), mi.Float(1.0))
     ray = mi.Ray3f(mi.Point3f(0.0), mi.Vector3f(0.0, 0.0, 1.0))
     normal = mi.Vector3f(mi.Float(np.sqrt(1.0 - slant**2)), 0.0, mi.Float(slant))
     mean = 2.0 / width
-    for curved, largest in ((True, 2.0 / flow.RIM), (False, 1.0 / slant[0])):
-        got = flow._divergences(
+    for curved, largest in ((True, 2.0 / pair_sums.RIM), (False, 1.0 / slant[0])):
+        got = pair_sums.divergences(
             half,
             ray,
             mi.Point3f(0.0),
@@ -234,11 +230,9 @@ def test_few_paths_per_batch_stay_unbiased(name: str, per_batch: int) -> None:
     """Every batch alone projects onto a reference with slope 1, to 4 standard errors over 64 batches."""
     batches = 64
     with open_view(textured_wall(sensor=with_filter(name))) as view:
-        prepared, pixels = flow.prepare(view), all_pixels(view)
-        reference, _ = flow.jacobian(view, pixels, spp=1024, seed=9, batches=4, prepared=prepared)
-        values, _ = flow.jacobian(
-            view, pixels, spp=per_batch * batches, seed=1, batches=batches, prepared=prepared
-        )
+        _prepared, pixels = flow.prepare(view), all_pixels(view)
+        reference, _ = measured(flow.Flow, view, pixels, spp=1024, seed=9, batches=4)
+        values, _ = measured(flow.Flow, view, pixels, spp=per_batch * batches, seed=1, batches=batches)
     mean = reference.mean(axis=0)
     slope = np.einsum("kncj,ncj->kj", values, mean) / np.einsum("ncj,ncj->j", mean, mean)
     error = slope.std(axis=0, ddof=1) / np.sqrt(batches)
@@ -255,7 +249,7 @@ def test_the_image_is_as_clean_as_a_plain_render(name: str) -> None:
         pixels = all_pixels(view)
         truth = render_pixels(view, pixels, spp=8192, seed=1)[0]
         plain = render_pixels(view, pixels, spp=64, seed=2)[0]
-        *_, images, image = measured(view, pixels, spp=64)
+        *_, images, image = all_of(view, pixels, spp=64)
     beside = truth.max(axis=1) < 1.5
     error, usual, control = (np.abs(a - truth)[beside] for a in (image, plain, images.mean(axis=0)))
     # Pairs are not spread as the filter is, but share out their numbers: about as many paths' worth.
@@ -272,7 +266,7 @@ def test_no_pixel_of_a_plain_wall_stands_out() -> None:
     with open_view(which) as view:
         pixels = all_pixels(view)
         truth = render_pixels(view, pixels, spp=1024, seed=1)[0, :, 0]
-        *_, images, image = measured(view, pixels, spp=64)
+        *_, images, image = all_of(view, pixels, spp=64)
     np.testing.assert_array_equal(pose_jacobian(which, spp=64).image.reshape(-1, 3), image)
     for shown, stands_out in ((image[:, 0], False), (images.mean(axis=0)[:, 0], True)):
         error = shown - truth
@@ -282,7 +276,7 @@ def test_no_pixel_of_a_plain_wall_stands_out() -> None:
 @pytest.mark.parametrize("name", ["gaussian", "mitchell", "lanczos", "box"])
 def test_the_image_of_few_paths_is_finite(name: str) -> None:
     with open_view(lamp_before_a_wall(name)) as view:
-        *_, image = measured(view, all_pixels(view), spp=4)
+        *_, image = all_of(view, all_pixels(view), spp=4)
     assert np.isfinite(image).all()
 
 
@@ -292,10 +286,10 @@ def lamp_before_a_wall(filter_name: str) -> dict[str, Any]:
     return scene(wall=wall(texture()), lamp=lamp, sensor=with_filter(filter_name))
 
 
-def measured(view: View, pixels: np.ndarray, *, spp: int) -> Any:
+def all_of(view: View, pixels: np.ndarray, *, spp: int) -> Any:
     """Jacobian, each batch's image, and the image (n, 3)."""
-    pilot = flow.Pilot.of(view, np.ones(view.size[::-1], dtype=bool), 0)
-    return list(flow.steps(view, pixels, flow.prepare(view), pilot, spp=spp, seed=0, batches=4))[-1]
+    mask = np.ones(view.size[::-1], dtype=bool)
+    return estimates(flow.Flow.open(view, mask, Paths(spp, 0, 4), step_pixels=0.15), pixels)
 
 
 # Paths
@@ -360,7 +354,7 @@ class Impostor(mi.SamplingIntegrator):
 def test_a_python_integrator_is_called_whatever_it_calls_itself() -> None:
     with open_view(textured_wall(), integrator=Impostor(mi.Properties())) as view:
         assert isinstance(paths.tracer(view), paths.IntegratorTracer)
-        values, image = flow.jacobian(view, all_pixels(view), spp=16, seed=0, batches=4)
+        values, image = measured(flow.Flow, view, all_pixels(view), spp=16, seed=0, batches=4)
     assert image.mean() == pytest.approx(0.25, abs=2e-3)  # the pilot weights' noise
     assert np.abs(values).max() < 1.0
 
@@ -375,7 +369,7 @@ def test_no_garbage_is_collected_while_paths_are_traced() -> None:
             return super().sample(*arguments, **named)
 
     with open_view(textured_wall(), integrator=Witness(mi.Properties())) as view:
-        flow.jacobian(view, all_pixels(view), spp=4, seed=0, batches=4)
+        measured(flow.Flow, view, all_pixels(view), spp=4, seed=0, batches=4)
     assert collecting
     assert not any(collecting)
     assert gc.isenabled()
@@ -386,7 +380,7 @@ def wall_by(integrator: str) -> np.ndarray:
     limit = {} if integrator.startswith("direct") else {"max_depth": 2}
     with open_view(textured_wall(sensor=camera(16, 12)), integrator={"type": integrator} | limit) as view:
         seed = 1 if integrator == "path" else 2
-        return flow.jacobian(view, all_pixels(view), spp=256, seed=seed, batches=16)[0]
+        return measured(flow.Flow, view, all_pixels(view), spp=256, seed=seed, batches=16)[0]
 
 
 USUAL = ["prb_basic", "volpath", "prb_projective"]
@@ -498,7 +492,7 @@ def test_a_new_pose_seed_subset_or_sample_count_compiles_nothing() -> None:
             pose = view.pose @ move
         with open_view(which, pose=pose) as view:
             dr.kernel_history_clear()
-            flow.jacobian(view, all_pixels(view)[:count], spp=spp, seed=seed, batches=4)
+            measured(flow.Flow, view, all_pixels(view)[:count], spp=spp, seed=seed, batches=4)
             return sum(not kernel.get("cache_hit", True) for kernel in dr.kernel_history())
 
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):

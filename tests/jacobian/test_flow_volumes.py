@@ -7,12 +7,13 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from one_go import measured
 from small_scenes import T, camera, scene, texture
 
 from mitsuba_crb.errors import SensorError
 from mitsuba_crb.jacobian import finite_difference, flow
-from mitsuba_crb.render.pixels import coarse_grid
-from mitsuba_crb.render.scene import open_view
+from mitsuba_crb.render.rays import coarse_grid
+from mitsuba_crb.render.view import open_view
 
 FOG = {"type": "homogeneous", "id": "fog", "albedo": 0.0, "sigma_t": 0.3}
 LAMP = {
@@ -56,9 +57,9 @@ def test_rotation_is_the_filter_term_and_translation_a_difference(name: str) -> 
     options: dict[str, Any] = {"spp": 256, "batches": 16}
     with open_view(SCENES[name]) as view:
         pixels = coarse_grid(view.size, 16).reshape(-1, 2)
-        ours, _ = flow.jacobian(view, pixels, seed=1, **options)
-        same, _ = finite_difference.jacobian(view, pixels, seed=1, **options)
-        other, _ = finite_difference.jacobian(view, pixels, seed=2, **options)
+        ours, _ = measured(flow.Flow, view, pixels, seed=1, **options)
+        same, _ = measured(finite_difference.FiniteDifference, view, pixels, seed=1, **options)
+        other, _ = measured(finite_difference.FiniteDifference, view, pixels, seed=2, **options)
     assert np.array_equal(ours[..., :3], same[..., :3])
     assert np.abs(ours[..., :3]).max() > 0.0
     total = ours[..., 3:].sum(axis=0)

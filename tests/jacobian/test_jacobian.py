@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from matrices import misfit
+from one_go import measured
 from small_scenes import T, camera, scene, texture, textured_wall, wall
 
 from mitsuba_crb import fisher_information, pose_jacobian, se3
@@ -17,7 +18,7 @@ from mitsuba_crb.errors import BlindSpotWarning, IntegratorError
 from mitsuba_crb.jacobian import finite_difference
 from mitsuba_crb.noise import Gaussian
 from mitsuba_crb.render.pixels import render_pixels
-from mitsuba_crb.render.scene import open_view
+from mitsuba_crb.render.view import open_view
 
 SIGMA = Gaussian(0.01)
 
@@ -110,8 +111,8 @@ def test_finite_differences_halve_their_bias_fourfold() -> None:
     with open_view(textured_wall()) as view:
         pixels = np.stack(np.meshgrid(np.arange(8, 24), np.arange(6, 18)), axis=-1).reshape(-1, 2)
         steps = [
-            finite_difference.jacobian(
-                view, pixels, spp=256, seed=0, batches=4, prepared=finite_difference.prepare(view, step)
+            measured(
+                finite_difference.FiniteDifference, view, pixels, spp=256, seed=0, batches=4, step_pixels=step
             )[0].mean(axis=0)
             for step in (0.1, 0.2, 0.4)
         ]
@@ -127,7 +128,7 @@ def test_camera_frame_information_moves_to_the_world_like_left_perturbations() -
     right = pose_jacobian(textured_wall(sensor=sensor), method="finite_difference", spp=64, seed=5)
     transported = fisher_information(right, SIGMA).to_frame("world").matrix
     with open_view(textured_wall(sensor=sensor)) as view:
-        steps = finite_difference.prepare(view).steps
+        steps = finite_difference.steps_of(view)
         columns = []
         for axis, step in enumerate(steps):
             twist = np.zeros(6)

@@ -15,13 +15,14 @@ import pytest
 from scipy.linalg import eigvalsh, expm
 
 from mitsuba_crb import se3
-from mitsuba_crb.agents.bundle import Pinhole, PointView, point_information
-from mitsuba_crb.information.fisher import ImageJacobian, PixelSelection
+from mitsuba_crb.agents.bundle import PointView, point_information
+from mitsuba_crb.camera import Camera
+from mitsuba_crb.information.image_jacobian import ImageJacobian, PixelSelection
 from mitsuba_crb.information.joint import joint_information
 from mitsuba_crb.noise import Gaussian
 
 SIZE = (160, 120)
-CAMERA = Pinhole(focal=(140.0, 140.0), centre=(80.0, 60.0))
+CAMERA = Camera.pinhole(140.0, centre=(80.0, 60.0), size=(160, 120))
 SIGMA = 0.01
 # Film positions at least 37 pixels apart and 20 from the border, and depths.
 FILM = np.array(

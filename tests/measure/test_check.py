@@ -13,7 +13,7 @@ from small_scenes import camera, scene, texture, textured_wall, torn_wall, wall
 
 from mitsuba_crb import check_jacobian, fisher_information, pose_jacobian
 from mitsuba_crb.errors import BlindSpotWarning, OptionError
-from mitsuba_crb.information.fisher import BLOCK
+from mitsuba_crb.information.blocks import BLOCK
 from mitsuba_crb.noise import Gaussian
 
 FORWARD = {"methods": ("forward",)}

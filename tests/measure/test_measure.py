@@ -16,10 +16,11 @@ from small_scenes import T, camera, scene, texture, textured_wall, wall
 
 from mitsuba_crb import cramer_rao_bound, fisher_information, pose_bound, pose_jacobian, se3
 from mitsuba_crb.errors import BlindSpotWarning, NoiseError, OptionError, PixelsError, RadianceError
-from mitsuba_crb.information.fisher import BLOCK, PixelSelection
+from mitsuba_crb.information.blocks import BLOCK
+from mitsuba_crb.information.image_jacobian import PixelSelection
 from mitsuba_crb.information.joint import joint_information
 from mitsuba_crb.information.subset import tiles
-from mitsuba_crb.measure.lint import precision_findings
+from mitsuba_crb.jacobian.lint import precision_findings
 from mitsuba_crb.measure.measurement import measurement, versions
 from mitsuba_crb.noise import (
     SRGB,
@@ -37,7 +38,7 @@ from mitsuba_crb.noise import (
     StudentT,
 )
 from mitsuba_crb.render.pixels import render_pixels
-from mitsuba_crb.render.scene import open_view
+from mitsuba_crb.render.view import open_view
 
 # Few samples on small images: that standard errors exceed 10 % is expected.
 pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")

@@ -10,10 +10,11 @@ from small_scenes import T, camera, mi, scene, texture, wall
 from mitsuba_crb import se3
 from mitsuba_crb.errors import NoiseError, OptionError
 from mitsuba_crb.measure.displaced import hcr_bound
-from mitsuba_crb.measure.measurement import measurement, pose_bound
+from mitsuba_crb.measure.measurement import measurement
+from mitsuba_crb.measure.pose import pose_bound
 from mitsuba_crb.noise import Gaussian, IndependentNoise
 from mitsuba_crb.render.pixels import render_pixels
-from mitsuba_crb.render.scene import open_view
+from mitsuba_crb.render.view import open_view
 
 NOISE = Gaussian(0.05)
 PERIOD = 2.0

@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from matrices import misfit
+from one_go import measured
 from small_scenes import T, camera, scene, texture, wall
 
 from mitsuba_crb import pose_bound, pose_jacobian
@@ -22,11 +23,12 @@ from mitsuba_crb.bound.cramer_rao import ALL_NUISANCES
 from mitsuba_crb.errors import NuisanceError, NuisanceWarning, OptionError
 from mitsuba_crb.information.joint import joint_information
 from mitsuba_crb.jacobian import flow, forward
+from mitsuba_crb.jacobian.method import Paths
 from mitsuba_crb.measure.nuisances import open_nuisances
 from mitsuba_crb.noise import Gaussian, PerPixel
-from mitsuba_crb.render import pixels
+from mitsuba_crb.render import rays
 from mitsuba_crb.render.pixels import render_pixels
-from mitsuba_crb.render.scene import open_view
+from mitsuba_crb.render.view import open_view
 
 pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")
 
@@ -170,17 +172,16 @@ class TestRandomNumbers:
         paths = {"spp": 8, "batches": 4}
         found: dict[str, list[np.ndarray]] = {"renders": [], "flow": [], "forward mode": []}
         with open_view(_scene()) as view:
-            (lamp,) = open_nuisances(view, ("light.radiance.value:scale",), "flow")
-            prepared = flow.prepare(view)
+            (lamp,) = open_nuisances(view, ("light.radiance.value:scale",), flow.Flow)
             for seed in range(self.seeds):
                 image = render_pixels(view, _pixels(), spp=2, batches=4, seed=seed)
                 found["renders"].append(image)
-                found["flow"].append(flow.jacobian(view, _pixels(), seed=seed, prepared=prepared, **paths)[1])
+                found["flow"].append(measured(flow.Flow, view, _pixels(), seed=seed, **paths)[1])
                 # The image is linear in its only light.
                 found["forward mode"].append(
-                    lamp.columns(view, _pixels(), image, image, seed=seed, **paths)[0][..., 0]
+                    lamp.columns(view, _pixels(), image, image, Paths(seed=seed, **paths))[0][..., 0]
                 )
-            _, image = forward.jacobian(view, _pixels(), seed=0, **paths)
+            _, image = measured(forward.Forward, view, _pixels(), seed=0, **paths)
         np.testing.assert_allclose(image, found["forward mode"][0], rtol=1e-4)
         return {name: np.array(values) for name, values in found.items()}
 
@@ -275,7 +276,7 @@ class TestRandomPixels:
         def render(*_: Any) -> None:
             raise AssertionError("rendered")
 
-        monkeypatch.setattr(pixels, "camera_ray", render)
+        monkeypatch.setattr(rays, "camera_ray", render)
         with pytest.raises(OptionError, match="gain:8 with random:f pixels"):
             run(_scene(), nuisances=self.names, pixels="random:0.5")
         with pytest.raises(AssertionError, match="rendered"):  # negative control

@@ -33,12 +33,12 @@ from mitsuba_crb.errors import (
     SensorError,
     WorkerError,
 )
-from mitsuba_crb.information.fisher import ImageJacobian, PixelSelection
+from mitsuba_crb.information.image_jacobian import ImageJacobian, PixelSelection
 from mitsuba_crb.measure import teams as team_measure
 from mitsuba_crb.measure.teams import fuse_team, select_team
 from mitsuba_crb.noise import Gaussian, Laplace
 from mitsuba_crb.render.pixels import render_pixels
-from mitsuba_crb.render.scene import open_view
+from mitsuba_crb.render.view import open_view
 
 # Few samples on small images: that standard errors exceed 10 % is expected.
 pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")

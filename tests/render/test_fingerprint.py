@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from small_scenes import mi, texture, textured_wall, wall
 
-from mitsuba_crb.measure.measurement import pose_jacobian
+from mitsuba_crb.measure.pose import pose_jacobian
 from mitsuba_crb.render.fingerprint import fingerprint, mask_fingerprint
 from mitsuba_crb.render.scene import load_scene
 

@@ -27,7 +27,7 @@ mi.set_variant("llvm_ad_rgb")
 mi.render(mi.load_dict(mi.cornell_box()), spp=1)
 """
 BOUND_FIRST = f"""
-from mitsuba_crb import llvm
+from mitsuba_crb.render import llvm
 print(llvm.configure())
 {RENDER}
 print(llvm.configure())
@@ -35,12 +35,12 @@ print(llvm.configure())
 PACKAGE_FIRST = f"""
 import mitsuba_crb
 {RENDER}
-from mitsuba_crb import llvm
+from mitsuba_crb.render import llvm
 print(llvm.configure())
 """
 MITSUBA_FIRST = """
 import mitsuba
-from mitsuba_crb import llvm
+from mitsuba_crb.render import llvm
 print(llvm.configure())
 """
 

@@ -10,18 +10,13 @@ import numpy as np
 import pytest
 from small_scenes import camera, scene, textured_wall
 
-from mitsuba_crb.information.fisher import BLOCK
-from mitsuba_crb.render.pixels import (
-    EVEN,
-    EvenNumbers,
-    Lanes,
-    OffsetTable,
-    first_hits,
-    render_pixels,
-    seeding,
-)
-from mitsuba_crb.render.scene import View, open_view
+from mitsuba_crb.information.blocks import BLOCK
+from mitsuba_crb.render.film import OffsetTable
+from mitsuba_crb.render.pixels import render_pixels
+from mitsuba_crb.render.random import EVEN, EvenNumbers, seeding
+from mitsuba_crb.render.rays import Lanes, first_hits
 from mitsuba_crb.render.sobol import sobol_point
+from mitsuba_crb.render.view import View, open_view
 
 FILTERS = ("gaussian", "box", "tent", "mitchell", "catmullrom", "lanczos")
 
@@ -120,7 +115,7 @@ def test_a_pixels_random_numbers_are_its_own() -> None:
 
 def test_streams_of_pixels_batches_and_seeds_are_uncorrelated() -> None:
     """Correlations of 4096 first numbers stay within 4.5 standard errors of zero."""
-    from mitsuba_crb.render.pixels import lane_sampler
+    from mitsuba_crb.render.random import lane_sampler
 
     pixel = dr.arange(mi.UInt32, 4096)
     draws = [

@@ -14,10 +14,10 @@ from small_scenes import T, camera, scene, texture, wall
 
 from mitsuba_crb import pose_jacobian, se3
 from mitsuba_crb.render import recorded
-from mitsuba_crb.render import scene as scene_module
-from mitsuba_crb.render.pixels import upload
+from mitsuba_crb.render import view as scene_module
+from mitsuba_crb.render.arrays import upload
 from mitsuba_crb.render.recorded import Recorder, join, split
-from mitsuba_crb.render.scene import open_view
+from mitsuba_crb.render.view import open_view
 
 OPTIONS: dict[str, Any] = {"spp": 16, "size": (24, 16)}
 SCENE = scene(

@@ -25,7 +25,8 @@ from mitsuba_crb.errors import (
     SensorError,
 )
 from mitsuba_crb.noise import Gaussian
-from mitsuba_crb.render.scene import View, load_scene, open_view
+from mitsuba_crb.render.scene import load_scene
+from mitsuba_crb.render.view import View, open_view
 
 SENSOR = '<sensor type="perspective"><film type="hdrfilm"/></sensor>'
 
@@ -129,8 +130,8 @@ def test_a_default_changes_the_scene(tmp_path: Path) -> None:
         open_view(load_scene(path), size=(8, 8)) as narrow,
         open_view(load_scene(path, fov="90"), size=(8, 8)) as wide,
     ):
-        assert wide.focal_pixels == pytest.approx(4.0, rel=1e-5)
-        assert narrow.focal_pixels == pytest.approx(4.0 / np.tan(np.radians(10.0)), rel=1e-5)
+        assert wide.camera.focal_length == pytest.approx(4.0, rel=1e-5)
+        assert narrow.camera.focal_length == pytest.approx(4.0 / np.tan(np.radians(10.0)), rel=1e-5)
 
 
 def test_a_sensor_is_found_by_index_or_id_and_missing_ones_are_named() -> None:

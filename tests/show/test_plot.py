@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from scipy.spatial.transform import Rotation
 
-from mitsuba_crb.export.documents import pictures_of
+from mitsuba_crb.measure.pictures import pictures_of
 from mitsuba_crb.noise import Gaussian
 from mitsuba_crb.show import bound_page as page
 from mitsuba_crb.show import plot

@@ -12,13 +12,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jacobian import finite_difference
-from ..render.pixels import camera_ray, coarse_grid, first_hits, move_ray, opaque_transform, upload, widened
+from ..render.arrays import upload, widened
+from ..render.rays import camera_ray, coarse_grid, first_hits, move_ray, opaque_transform
+from .finite_difference import steps_of
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     import mitsuba as mi
 
-    from ..render.scene import View
+    from ..render.view import View
 
 _GRID = 64
 _LIGHT_SAMPLES = 8
@@ -32,7 +35,7 @@ def precision_findings(view: View) -> list[str]:
     """
     distance = float(np.abs(view.pose[:3, 3]).max())
     spacing = float(np.spacing(np.float32(distance)))
-    step = float(finite_difference.prepare(view).steps[:3].min())
+    step = float(steps_of(view)[:3].min())
     if spacing <= 0.01 * step:
         return []
     return [
@@ -40,6 +43,16 @@ def precision_findings(view: View) -> list[str]:
         f"{spacing:.2g} apart, more than 1 % of the finite-difference step {step:.2g}: move scene and "
         "camera nearer to the origin"
     ]
+
+
+def cut_surfaces(view: View, method: str) -> Iterator[str]:
+    """That the near plane cuts what is in view, for a method that follows surfaces only."""
+    if is_cut_by_near_plane(view):
+        yield (
+            f"the near plane at {view.near_clip:g} cuts surfaces in view, and method {method!r} misses that "
+            "the cut moves with the camera: any direction may be under-informed; lower near_clip or use "
+            "finite_difference"
+        )
 
 
 def is_cut_by_near_plane(view: View) -> bool:

@@ -1,0 +1,68 @@
+"""Where a run's files will go, asked before anything is rendered."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import OutputError
+from ..files import beside
+
+if TYPE_CHECKING:
+    pass
+
+
+def check_target(path: Path, option: str, inputs: Sequence[Path] = (), *, resumes: bool = False) -> None:
+    """Raise `OutputError` unless `path` can be written, without touching what is there.
+
+    Args:
+        path: the file to be written.
+        option: the option's name, for the message.
+        inputs: files that this run reads, and that must not be overwritten.
+        resumes: whether this run keeps the trials that the file holds.
+    """
+    target = Path(os.path.realpath(path)) if os.path.islink(path) else path
+    folder = target.parent
+    if not os.path.isdir(folder):
+        raise OutputError(f"{option} {path}: the folder {folder} does not exist; create it first")
+    if os.path.isdir(target):
+        raise OutputError(f"{option} {path}: this is a folder; name a file in it")
+    if os.path.lexists(target) and not os.path.isfile(target):
+        raise OutputError(f"{option} {path}: this is not a regular file; name another")
+    for source in inputs:
+        if os.path.exists(target) and os.path.exists(source) and os.path.samefile(target, source):
+            raise OutputError(
+                f"{option} {path}: this would overwrite an input of this run; name another file"
+            )
+    if not resumes and os.path.isfile(path) and _holds_trials(path):
+        raise OutputError(f"{option} {path}: this holds trials that would be lost; name another file")
+    # asking by writing: permission bits say nothing about root, read-only mounts and quotas
+    probe = beside(target)
+    try:
+        probe.touch(exist_ok=False)
+        probe.unlink()
+    except OSError as error:
+        raise OutputError(
+            f"{option} {path}: cannot write in the folder {folder} ({error.strerror})"
+        ) from error
+
+
+def _holds_trials(path: Path) -> bool:
+    from ..estimate.trials import SCHEMA as TRIALS  # late: it imports what measures
+
+    with path.open("rb") as file:
+        return TRIALS.encode() in file.read(100)
+
+
+def check_folder(path: Path, option: str) -> None:
+    """Make the folder `path` if it is missing; raise `OutputError` unless files can be written in it."""
+    if os.path.lexists(path) and not os.path.isdir(path):
+        raise OutputError(f"{option} {path}: this is a file; name a folder")
+    if not os.path.lexists(path):
+        try:
+            path.mkdir()
+        except OSError as error:
+            raise OutputError(f"{option} {path}: cannot make this folder ({error.strerror})") from error
+    check_target(path / "probe", option)

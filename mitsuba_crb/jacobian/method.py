@@ -1,0 +1,132 @@
+"""What a way to measure the Jacobian offers.
+
+A method is opened for one view and the pixels that will be asked for, and is then asked for one tile of them
+after the other. A tile goes through `launch`, `wait` and `result`, so that the next one can be prepared, and
+the one before summed up, while its light paths are traced in the background.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from .film_flow import FilmFlow
+
+Floats = NDArray[np.float64]
+Pixels = NDArray[np.int64]
+
+
+class Estimates(NamedTuple):
+    """What a method says of some pixels."""
+
+    columns: Floats
+    """(batches, n, 3, 6 + m) dI/dξ in the camera frame [radiance / scene unit, radiance / rad], then the m
+    film parameters' columns [radiance per unit]."""
+    images: Floats
+    """(batches, n, 3) each batch's own image, without bias [radiance]."""
+    image: Floats
+    """(n, 3) the image of all batches, the least noisy one at hand [radiance]."""
+
+
+@dataclass(frozen=True)
+class Paths:
+    """How many light paths, and with which random numbers."""
+
+    spp: int
+    """Per pixel over all batches."""
+    seed: int
+    """Of all random numbers."""
+    batches: int
+    """Independent estimates."""
+
+
+class Tile(Protocol):
+    """Some pixels on their way; whole blocks of them."""
+
+    def launch(self) -> None:
+        """Start what runs in the background."""
+
+    def wait(self) -> None:
+        """Until that has ended."""
+
+    def result(self) -> Estimates:
+        """What came of it."""
+
+
+class Method(Protocol):
+    """A way to measure the Jacobian, open for one view."""
+
+    name: ClassVar[str]
+    """As users call it."""
+    follows_film: ClassVar[bool]
+    """Whether it can differentiate in parameters that move the film alone, beside the pose."""
+
+    steps_image: ClassVar[bool]
+    """Whether it steps by `step_pixels`."""
+
+    @property
+    def block(self) -> int:
+        """Side of the film blocks whose errors are independent [pixel]; 1: each pixel has its own samples."""
+
+    @classmethod
+    def open(
+        cls,
+        view: Any,
+        mask: NDArray[np.bool_],
+        paths: Paths,
+        *,
+        step_pixels: float,
+        film_flows: tuple[FilmFlow, ...] = (),
+    ) -> Self:
+        """Prepare what all tiles share.
+
+        Args:
+            view: what this method can measure; stays open as long as the method is used.
+            mask: (H, W), the pixels that will be asked for.
+            step_pixels: image motion of a finite difference's step, where there is one [pixel].
+            film_flows: of parameters that act on the film alone; only for those that `follows_film`.
+
+        Raises:
+            MitsubaCRBError: the method cannot measure this view, by name.
+
+        Warns:
+            BlindSpotWarning: by name, of what it will miss.
+        """
+
+    @classmethod
+    def limits(cls, view: Any) -> Iterable[str]:
+        """What the method cannot see in this view; each sentence says what the numbers are worth."""
+
+    def prepare(self, pixels: Pixels) -> Tile:
+        """Ready some pixels (n, 2), columns and rows; those of one block must come in one call."""
+
+
+@dataclass(frozen=True)
+class AtOnce:
+    """A tile of a method that does all its work at the end."""
+
+    work: Callable[[], Estimates]
+
+    def launch(self) -> None:
+        """Nothing."""
+
+    def wait(self) -> None:
+        """Nothing."""
+
+    def result(self) -> Estimates:
+        """All of it."""
+        return self.work()
+
+
+def estimates(method: Method, pixels: Pixels) -> Estimates:
+    """A method's result for some pixels, in one go."""
+    tile = method.prepare(pixels)
+    tile.launch()
+    tile.wait()
+    return tile.result()

@@ -1,0 +1,86 @@
+"""What can be measured: an image of a world, as a function of its camera's pose.
+
+A Mitsuba scene is one (`mitsuba_view`); whatever else has these members comes under the same bound, by the
+same functions and commands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..jacobian.method import Method, Paths
+
+if TYPE_CHECKING:
+    from ..camera import Camera
+    from .nuisances import Nuisance
+
+
+class Measurable(Protocol):
+    """One camera in one world."""
+
+    @property
+    def label(self) -> str:
+        """The world's file, or what kind of object it came from."""
+
+    @property
+    def variable(self) -> str:
+        """The camera's name."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the image [pixel]."""
+
+    @property
+    def pose(self) -> NDArray[np.float64]:
+        """`world_from_camera`, 4x4, rigid."""
+
+    @property
+    def camera(self) -> Camera:
+        """Intrinsics."""
+
+    @property
+    def visible_depth(self) -> NDArray[np.float64]:
+        """Finite depths along the optical axis through a coarse grid of pixels [scene unit]."""
+
+    @property
+    def methods(self) -> Mapping[str, type[Method]]:
+        """Ways to measure the columns of its pixels, by name."""
+
+    def at(self, pose: NDArray[np.float64]) -> Self:
+        """The same camera at another pose (4, 4)."""
+
+    def start_image(
+        self,
+        pixels: NDArray[np.int64],
+        paths: Paths,
+        *,
+        purpose: int,
+        pose: NDArray[np.float64] | None = None,
+        even: bool = False,
+    ) -> Callable[[], NDArray[np.float64]]:
+        """Start to render some pixels (n, 2) in the background, by random numbers of a purpose of their own.
+
+        Args:
+            pose: in place of the camera's own.
+            even: film points that fill each pixel evenly, where that is possible.
+
+        Returns:
+            What waits, and gives the image (batches, n, 3) [radiance].
+        """
+
+    def open_nuisances(self, names: Sequence[str], method: type[Method]) -> tuple[Nuisance, ...]:
+        """What is not known beside the pose, by name.
+
+        Raises:
+            NuisanceError: there is none of a name, it has no derivative, or a name comes twice.
+        """
+
+    def precision_limits(self) -> Sequence[str]:
+        """Where the arithmetic is too coarse for the derivative, each in a sentence."""
+
+    def provenance(self) -> dict[str, Any]:
+        """What else the numbers depend on, JSON-able."""

@@ -1,0 +1,73 @@
+"""A Mitsuba scene seen by one of its cameras, as a `Measurable`."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..jacobian import lint
+from ..jacobian.method import Method, Paths
+from ..jacobian.methods import METHODS
+from ..render.pixels import start_pixels, summed
+from ..render.view import View, open_view
+from .nuisances import Nuisance, open_nuisances
+from .options import MeasurementOptions
+
+
+@dataclasses.dataclass(frozen=True)
+class MitsubaView(View):
+    """An open view with what a measurement asks of it, see `Measurable`."""
+
+    methods: ClassVar[dict[str, type[Method]]] = METHODS
+
+    def at(self, pose: NDArray[np.float64]) -> Self:
+        """The same camera at another pose (4, 4)."""
+        return dataclasses.replace(self, pose=pose)
+
+    def start_image(
+        self,
+        pixels: NDArray[np.int64],
+        paths: Paths,
+        *,
+        purpose: int,
+        pose: NDArray[np.float64] | None = None,
+        even: bool = False,
+    ) -> Callable[[], NDArray[np.float64]]:
+        """See `Measurable.start_image`."""
+        spp, batches = paths.spp // paths.batches, paths.batches
+        total = start_pixels(
+            self, pixels, spp=spp, seed=paths.seed, batches=batches, pose=pose, purpose=purpose, even=even
+        )
+        return lambda: summed(total, spp, batches, len(pixels))
+
+    def open_nuisances(self, names: Sequence[str], method: type[Method]) -> tuple[Nuisance, ...]:
+        """See `Measurable.open_nuisances`."""
+        return open_nuisances(self, names, method)
+
+    def precision_limits(self) -> Sequence[str]:
+        """See `Measurable.precision_limits`."""
+        return lint.precision_findings(self)
+
+    def provenance(self) -> dict[str, Any]:
+        """The integrator's name."""
+        python = type(self.integrator).__module__ != "mitsuba"
+        name = type(self.integrator).__name__ if python else self.integrator.class_name()
+        return {"integrator": name}
+
+
+@contextlib.contextmanager
+def open_measurable(scene: Any, options: MeasurementOptions) -> Iterator[MitsubaView]:
+    """The view of a scene's camera that the options ask for; errors as `open_view`."""
+    with open_view(
+        scene,
+        sensor=options.sensor,
+        pose=options.pose,
+        integrator=options.integrator,
+        size=options.size,
+    ) as view:
+        yield MitsubaView(*(getattr(view, field.name) for field in dataclasses.fields(view)))

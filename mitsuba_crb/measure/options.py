@@ -1,0 +1,126 @@
+"""What every measurement of a view can be told: one place for names, meanings, defaults and checks.
+
+The command line and the teams' files read their defaults here; so nothing heavy is imported before an option
+has to be checked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from numbers import Integral, Real
+from typing import TYPE_CHECKING, Any, TypedDict
+
+from ..errors import OptionError
+
+if TYPE_CHECKING:
+    from .tile_jacobian import TileJacobian
+
+Progress = Callable[["TileJacobian", int, int], None]
+"""Called after each tile with its Jacobian, the pixels done and the pixels in total."""
+
+MINIMUM_BATCHES = 4
+"""Two disjoint pairs of batches are needed to estimate a variance without bias."""
+
+
+class MeasurementKeywords(TypedDict, total=False):
+    """The fields of `MeasurementOptions`, for functions that take them as keywords."""
+
+    sensor: int | str
+    pose: Any
+    method: str
+    spp: int
+    seed: int
+    batches: int
+    pixels: Any
+    integrator: Any
+    size: tuple[int, int] | None
+    tile: int
+    drop_invalid: bool
+    on_tile: Progress | None
+    step_pixels: float
+
+
+@dataclass(frozen=True, eq=False)
+class MeasurementOptions:
+    """How a view is measured.
+
+    Raises:
+        OptionError: a value that cannot be used; what only the scene can tell is checked when it is opened.
+    """
+
+    sensor: int | str = 0
+    """Index or id."""
+    pose: Any = None
+    """`world_from_camera`, 4x4 or `RigidTransform`, in place of the sensor's own."""
+    method: str = "flow"
+    """A name in `jacobian.methods`."""
+    spp: int = 64
+    """Paths per pixel over all batches, a multiple of `batches`. Finite differences trace 12 times that,
+    "forward" 6 times."""
+    seed: int = 0
+    """Of all random numbers; equal calls give equal bits."""
+    batches: int = 4
+    """Independent estimates, at least 4."""
+    pixels: Any = None
+    """None (all), "random:f", "gradient:f", a boolean mask (H, W), or a mask image's path."""
+    integrator: Any = None
+    """In place of the scene's: an `mi.Integrator`, a plugin's name or a dictionary."""
+    size: tuple[int, int] | None = None
+    """Width and height [pixel] in place of the film's; removes a crop window."""
+    tile: int = 256
+    """Side of the tiles [pixel], a multiple of 8; bounds the memory, not the result."""
+    drop_invalid: bool = False
+    """Leave out pixels whose radiance is not finite instead of raising."""
+    on_tile: Progress | None = None
+    """Called after each tile."""
+    step_pixels: float = 0.15
+    """Image motion of a finite-difference step [pixel]; other methods have none."""
+
+    def __post_init__(self) -> None:
+        from ..information.blocks import BLOCK
+
+        for name in ("spp", "seed", "batches", "tile"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, Integral):
+                raise OptionError(f"{name} must be a whole number; got {value!r}")
+        if self.batches < MINIMUM_BATCHES:
+            raise OptionError(
+                f"batches must be at least {MINIMUM_BATCHES}, for standard errors without bias; got "
+                f"{self.batches}"
+            )
+        if self.spp <= 0:
+            raise OptionError(f"spp must be positive; got {self.spp}")
+        if self.spp % self.batches:
+            nearest = max(self.batches, round(self.spp / self.batches) * self.batches)
+            raise OptionError(
+                f"spp {self.spp} is not a multiple of batches {self.batches}; the nearest is {nearest}"
+            )
+        if not 0 <= self.seed < 1 << 64:
+            raise OptionError(f"seed must lie in [0, 2^64); got {self.seed}")
+        if self.tile <= 0 or self.tile % BLOCK:
+            raise OptionError(f"tile must be a positive multiple of {BLOCK} pixels; got {self.tile}")
+        if not isinstance(self.step_pixels, Real) or not 0.0 < self.step_pixels < float("inf"):
+            raise OptionError(f"step_pixels must be positive and finite; got {self.step_pixels!r}")
+        if self.size is not None:
+            object.__setattr__(self, "size", _checked_size(self.size))
+
+
+CHECKING: MeasurementKeywords = {"spp": 256, "batches": 8}
+"""Defaults of `check_jacobian`: more batches than a bound's, for errors that are certain themselves."""
+VALIDATING: MeasurementKeywords = {"spp": 256}
+"""Defaults of `validate`."""
+CHOOSING: MeasurementKeywords = {"batches": 8}
+"""Defaults of `tile_information`: each half of the batches is an estimate of its own."""
+DISPLACING: MeasurementKeywords = {"tile": 64}
+"""Defaults of `hcr_bound`: all displaced images of a tile are held at once."""
+
+
+def _checked_size(size: Any) -> tuple[int, int]:
+    try:
+        width, height = (int(value) for value in size)
+    except (TypeError, ValueError) as error:
+        raise OptionError(f"size must be two whole numbers, width and height; got {size!r}") from error
+    if width <= 0 or height <= 0:
+        raise OptionError(f"size must be positive; got {width}x{height}")
+    return width, height

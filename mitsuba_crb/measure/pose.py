@@ -1,0 +1,104 @@
+"""From a scene to its Jacobian and to its bound: the two functions that everything else is about."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+import warnings
+from collections.abc import Sequence
+from typing import Any, Unpack
+
+from ..bound.cramer_rao import PoseBound, joint_bound
+from ..information.image_jacobian import ImageJacobian
+from ..noise import NoiseModel
+from ..render.lending import in_turn
+from .measurement import measurement
+from .options import MeasurementKeywords
+
+
+@in_turn
+def pose_jacobian(
+    scene: Any, *, nuisances: Sequence[str] = (), **options: Unpack[MeasurementKeywords]
+) -> ImageJacobian:
+    """The Jacobian dI/dξ of every selected pixel, in the camera frame.
+
+    Args:
+        scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
+        nuisances: names of further parameters for further columns, see `nuisance`.
+        options: see `MeasurementOptions`.
+
+    Returns:
+        `ImageJacobian` in the camera frame; translation columns [radiance / scene unit], rotation columns
+        [radiance / rad]. Its pilot makes `fisher_information` under any noise that of `pose_bound`; for flow
+        it costs up to as much again as the derivatives, which `pose_bound` pays for only where needed.
+
+    Raises:
+        MitsubaCRBError: one of its subclasses, in one line, with the cure.
+
+    References:
+        Muthukkumar 2025, section 3; design section 4.
+    """
+    with measurement(scene, nuisances=nuisances, **options) as run:
+        run.warn_of_limits()
+        return run.jacobian(pilot=True)
+
+
+@in_turn
+def pose_bound(
+    scene: Any,
+    noise: NoiseModel | None = None,
+    *,
+    prior: Any = None,
+    nuisances: Sequence[str] = (),
+    **options: Unpack[MeasurementKeywords],
+) -> PoseBound:
+    """The Cramér–Rao bound on the camera's pose, tile by tile; correlated noise needs the whole Jacobian.
+
+    Args:
+        scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`; the last such scene is kept, and traced
+            but once as long as its parameters stay.
+        noise: noise model of the measured image; None is Gaussian with 0.01 of the image's white, the 99th
+            percentile of a pilot render.
+        prior: information known beforehand, see `cramer_rao_bound`.
+        nuisances: names of parameters that are not known either, see `nuisance`. The bound's `joint` can
+            undo that, and its `if_known` says what each costs.
+        options: see `MeasurementOptions`.
+
+    Returns:
+        `PoseBound`, matrices in the camera frame; `.provenance` says how it was made.
+
+    Raises:
+        NoiseError: the image is black and no noise was given.
+        MitsubaCRBError: as `pose_jacobian`.
+
+    Warns:
+        NuisanceWarning: the image does not see a nuisance.
+    """
+    start = time.perf_counter()
+    caught: list[warnings.WarningMessage] = []
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            with measurement(scene, nuisances=nuisances, **options) as run:
+                model, origin = run.noise(noise)
+                run.warn_of_limits()
+                prepared = time.perf_counter()
+                joint = run.joint_information(model)
+            rendered = time.perf_counter()
+            alone = joint.marginalize()
+            bound = joint_bound(alone, prior=prior)
+    finally:
+        for warning in caught:
+            warnings.warn(warning.message, warning.category, stacklevel=3)
+    provenance = {
+        **run.provenance(),
+        "noise": {**model.to_dict(), "description": model.description, "origin": origin},
+        "noise_inflation": alone.information.noise_inflation,
+        "warnings": list(dict.fromkeys(str(warning.message) for warning in caught)),
+        "seconds": {
+            "prepare": prepared - start,
+            "render": rendered - prepared,
+            "total": time.perf_counter() - start,
+        },
+    }
+    return dataclasses.replace(bound, provenance=provenance)
