@@ -112,7 +112,7 @@ class TestNeverOverConfident:
             assert quantised.shift == 0.0
         elif kind != "indefinite":
             assert quantised.shift <= 8.0 * u * norm
-            assert np.linalg.eigvalsh(decoded)[0] >= -2.0 * quantised.shift - 1e-15 * norm
+            assert np.linalg.eigvalsh(decoded)[0] >= -2.0 * quantised.shift - 1e-14 * norm
         else:
             lowest = np.linalg.eigvalsh(G)[0]
             assert np.linalg.eigvalsh(decoded)[0] >= lowest - 2.0 * 8.0 * u * norm
