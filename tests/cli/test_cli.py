@@ -19,6 +19,7 @@ from mitsuba_crb import se3
 from mitsuba_crb.cli import app as cli
 from mitsuba_crb.cli.arguments import parse_defines, parse_pose, parse_size
 from mitsuba_crb.errors import OptionError, PoseError, PrecisionWarning, SceneError
+from mitsuba_crb.estimate import trials  # noqa: F401  before a test lends it another load_scene
 from mitsuba_crb.measure import check as validation
 from mitsuba_crb.measure import options as measuring
 from mitsuba_crb.measure import pose as measure
