@@ -12,11 +12,28 @@ Mitsuba's, x left and y up (`se3`), the image's x right and y down: scale = −1
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .errors import OptionError
 from .se3 import Array
+
+
+def image_size(size: Any) -> tuple[int, int]:
+    """Width and height [pixel] as whole numbers.
+
+    Raises:
+        OptionError: they are none, or not positive.
+    """
+    try:
+        width, height = (int(value) for value in size)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise OptionError(f"size must be two whole numbers, width and height; got {size!r}") from error
+    if width <= 0 or height <= 0:
+        raise OptionError(f"size must be positive; got {width}x{height}")
+    return width, height
 
 
 @dataclass(frozen=True, eq=False)

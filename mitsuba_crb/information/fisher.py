@@ -1,14 +1,4 @@
-"""Fisher information of a pose from independent estimates of the image's Jacobian, without noise bias.
-
-For K independent, unbiased estimates J_1 .. J_K of the Jacobian J and a noise precision W = Σ⁻¹,
-
-    F̂ = [ (Σ J_k)ᵀ W (Σ J_k) − Σ J_kᵀ W J_k ] / (K (K − 1))  =  mean over k < l of  sym(J_kᵀ W J_l)
-
-is unbiased for F = JᵀWJ, where the plain ĴᵀWĴ of the mean Ĵ is too large by E[δJᵀ W δJ]. It is symmetric, but
-positive semi-definite only in expectation. The covariance of its entries (`ustatistic`) is summed over units
-with independent errors: groups of pixels, or the blocks of pixels that share samples; what a random subset
-of the pixels says of the whole image is `sampled`'s. Conventions: `se3`.
-"""
+"""Fisher information of a pose: a 6 x 6 matrix that knows what it is about and how uncertain it is."""
 
 from __future__ import annotations
 
@@ -22,7 +12,7 @@ from numpy.typing import ArrayLike
 from .. import se3
 from ..errors import FrameError
 from ..se3 import Array, Frame
-from .image_jacobian import PixelSelection, _old_from_new, _refuse_to_mix
+from .image_jacobian import PixelSelection, old_from_new, refuse_to_mix
 from .symmetric import congruence, symmetrised, unpack
 
 
@@ -100,7 +90,7 @@ class FisherInformation:
         Raises:
             FrameError: `frame` is neither `"camera"` nor `"world"`.
         """
-        A = _old_from_new(self.frame, frame, self.pose)
+        A = old_from_new(self.frame, frame, self.pose)
         if A is None:
             return self
         if self._origin is not None:
@@ -143,7 +133,7 @@ class FisherInformation:
         """
         if not isinstance(other, FisherInformation):
             return NotImplemented
-        _refuse_to_mix(self, other, "add information")
+        refuse_to_mix(self, other, "add information")
         if self.frame == "world":
             return (self.to_frame("camera") + other.to_frame("camera")).to_frame("world")
         plain = None

@@ -102,7 +102,7 @@ class ImageJacobian:
 
     def to_frame(self, frame: Frame) -> ImageJacobian:
         """The same derivative with respect to the twist in another frame: J_a = J_b A for ξ_b = A ξ_a."""
-        A = _old_from_new(self.frame, frame, self.pose)
+        A = old_from_new(self.frame, frame, self.pose)
         if A is None:
             return self
         twist, others = self.batch_values[..., :6] @ A, self.batch_values[..., 6:]
@@ -128,7 +128,7 @@ class ImageJacobian:
         """
         if not isinstance(other, ImageJacobian):
             return NotImplemented
-        _refuse_to_mix(self, other, "subtract derivatives")
+        refuse_to_mix(self, other, "subtract derivatives")
         a, b = self.at(other.pixels), other.at(self.pixels)
         if a.batch_values.shape != b.batch_values.shape or a.parameters != b.parameters:
             raise OptionError(
@@ -144,7 +144,7 @@ class ImageJacobian:
         )
 
 
-def _old_from_new(old: Frame, new: Frame, pose: Array) -> Array | None:
+def old_from_new(old: Frame, new: Frame, pose: Array) -> Array | None:
     """A with ξ_old = A ξ_new, or None if the frames agree."""
     if new not in ("camera", "world"):
         raise FrameError(f"unknown frame {new!r}; expected 'camera' or 'world'")
@@ -153,7 +153,8 @@ def _old_from_new(old: Frame, new: Frame, pose: Array) -> Array | None:
     return se3.adjoint(pose if old == "world" else se3.inverse(pose))
 
 
-def _refuse_to_mix(a: Any, b: Any, act: str) -> None:
+def refuse_to_mix(a: Any, b: Any, act: str) -> None:
+    """Refuse two objects of different variables, frames or linearisation poses, with a FrameError."""
     if a.variable != b.variable:
         raise FrameError(f"cannot {act} about {a.variable!r} and about {b.variable!r}")
     if a.frame != b.frame:

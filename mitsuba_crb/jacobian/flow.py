@@ -75,8 +75,6 @@ class Prepared:
     """d(film point)/d(q_x/q_z, q_y/q_z), the focal lengths with their signs [pixel]."""
     film_flows: tuple[FilmFlow, ...] = ()
     """Of parameters that act on the film alone; each adds a column after the twist's six."""
-    block: int = BLOCK
-    """Side of the film blocks whose errors are independent [pixel]."""
 
 
 def prepare(view: View, film_flows: tuple[FilmFlow, ...] = ()) -> Prepared:
@@ -92,7 +90,6 @@ def prepare(view: View, film_flows: tuple[FilmFlow, ...] = ()) -> Prepared:
     Warns:
         BlindSpotWarning: by name, of shapes whose contours are not known.
     """
-
     camera_paths = tracer(view)
     volumes = _sees_volumes(view, camera_paths)
     if volumes and view.sensor.needs_aperture_sample():
@@ -192,14 +189,18 @@ class FlowTile:
         self._method, self._pixels = method, pixels
         self._begin = filter_and_view_terms(method.view, method.prepared, pixels, method.pilot, method.paths)
 
+    @functools.cached_property
+    def _baseline(self) -> NDArray[np.float64]:
+        """(n, 3) Ī_u; waits for the pilot."""
+        return self._method.pilot.values(self._pixels)
+
     def launch(self) -> None:
         """Start the paths in the background, and those of the contours."""
         view, contours, pixels = self._method.view, self._method.prepared.contours, self._pixels
         paths = self._method.paths
         self._beside: ParallaxTerm | _Differences
         if isinstance(contours, Contours):
-            needed = len(contours.piece) > 0
-            baseline = self._method.pilot.values(pixels) if needed else np.empty((len(pixels), 3))
+            baseline = self._baseline if len(contours.piece) else np.empty((len(pixels), 3))
             self._beside = ParallaxTerm(view, contours, pixels, baseline, paths)
         else:
             self._beside = _Differences(view, contours, pixels, paths)
@@ -222,9 +223,8 @@ class FlowTile:
         if isinstance(self._beside, _Differences):
             jacobians[..., :3] = 0.0
         jacobians[:, rows, :, : terms.shape[-1]] += terms
-        baseline = self._method.pilot.values(self._pixels)
         # A few weights of a filter with negative lobes may add up to nothing: then the pilot is what is left.
-        shown = baseline + (self._sums[:3] / np.maximum(self._sums[3], 0.5)).T
+        shown = self._baseline + (self._sums[:3] / np.maximum(self._sums[3], 0.5)).T
         return Estimates(jacobians, images, shown)
 
 
@@ -310,7 +310,7 @@ def filter_and_view_terms(
 
 
 def as_arrays(colors: Any, batches: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What `jacobian` returns, of the columns and, last, the image; the pixels' numbers beside each other."""
+    """Columns (batches, n, 3, q) and, of the last color, the image; the pixels' numbers beside each other."""
     values = np.empty((len(colors), 3, batches, len(colors[0][0]) // batches))
     for row, color in zip(values, colors, strict=True):
         for own, channel in zip(row, color, strict=True):

@@ -66,7 +66,6 @@ class Method(Protocol):
     """As users call it."""
     follows_film: ClassVar[bool]
     """Whether it can differentiate in parameters that move the film alone, beside the pose."""
-
     steps_image: ClassVar[bool]
     """Whether it steps by `step_pixels`."""
 

@@ -51,7 +51,7 @@ def van_trees(
         noise: as in `pose_bound`; the default follows from the image at the mean.
         prior: positive definite.
         draws: poses drawn from the prior, at least two; each is measured with `spp` paths per pixel.
-        options: see `MeasurementKeywords`.
+        options: see `MeasurementOptions`.
 
     Raises:
         PriorError: the prior leaves a direction open, so that no poses can be drawn, or too few draws.

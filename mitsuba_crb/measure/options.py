@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 Progress = Callable[["TileJacobian", int, int], None]
 """Called after each tile with its Jacobian, the pixels done and the pixels in total."""
 
-MINIMUM_BATCHES = 4
-"""Two disjoint pairs of batches are needed to estimate a variance without bias."""
-
 
 class MeasurementKeywords(TypedDict, total=False):
     """The fields of `MeasurementOptions`, for functions that take them as keywords."""
@@ -78,6 +75,8 @@ class MeasurementOptions:
     """Image motion of a finite-difference step [pixel]; other methods have none."""
 
     def __post_init__(self) -> None:
+        from ..camera import image_size
+        from ..information.accumulate import MINIMUM_BATCHES
         from ..information.blocks import BLOCK
 
         for name in ("spp", "seed", "batches", "tile"):
@@ -103,24 +102,12 @@ class MeasurementOptions:
         if not isinstance(self.step_pixels, Real) or not 0.0 < self.step_pixels < float("inf"):
             raise OptionError(f"step_pixels must be positive and finite; got {self.step_pixels!r}")
         if self.size is not None:
-            object.__setattr__(self, "size", _checked_size(self.size))
+            object.__setattr__(self, "size", image_size(self.size))
 
 
 CHECKING: MeasurementKeywords = {"spp": 256, "batches": 8}
 """Defaults of `check_jacobian`: more batches than a bound's, for errors that are certain themselves."""
 VALIDATING: MeasurementKeywords = {"spp": 256}
 """Defaults of `validate`."""
-CHOOSING: MeasurementKeywords = {"batches": 8}
-"""Defaults of `tile_information`: each half of the batches is an estimate of its own."""
 DISPLACING: MeasurementKeywords = {"tile": 64}
 """Defaults of `hcr_bound`: all displaced images of a tile are held at once."""
-
-
-def _checked_size(size: Any) -> tuple[int, int]:
-    try:
-        width, height = (int(value) for value in size)
-    except (TypeError, ValueError) as error:
-        raise OptionError(f"size must be two whole numbers, width and height; got {size!r}") from error
-    if width <= 0 or height <= 0:
-        raise OptionError(f"size must be positive; got {width}x{height}")
-    return width, height

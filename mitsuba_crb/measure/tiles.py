@@ -13,13 +13,13 @@ import numpy as np
 
 from ..agents.message import message_size
 from ..agents.quantisation import Form, Precision
-from ..agents.tile_grid import TileGrid
+from ..agents.tile_grid import MINIMUM_HALVED_BATCHES, TileGrid
 from ..agents.tiles import TileInformation, correlated_refusal
 from ..errors import SelectionError
 from ..noise import CoupledNoise, NoiseModel
 from ..render.lending import in_turn
 from .measurement import measurement
-from .options import CHOOSING, MeasurementKeywords
+from .options import MeasurementKeywords
 
 TILE_SIZE = 32
 """Default side of the tiles [pixel]."""
@@ -47,7 +47,7 @@ def tile_information(
         form: of the messages whose size is the tiles' cost.
         precision: of these messages.
         rank: of these messages, if they are sketches.
-        options: see `MeasurementKeywords`; `batches` at least 8, the default, since each half of them is an
+        options: see `MeasurementOptions`; `batches` at least 8, the default, since each half of them is an
             estimate of its own.
 
     Returns:
@@ -57,7 +57,7 @@ def tile_information(
         SelectionError: the noise is correlated between pixels, whose tiles do not add.
         MitsubaCRBError: as `pose_bound`.
     """
-    options = {**CHOOSING, **options}
+    options = {"batches": MINIMUM_HALVED_BATCHES, **options}
     with measurement(scene, **options) as run:
         name = run.view.variable if agent is None else agent
         variable = run.view.variable

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from .. import processes
 from ..errors import VariantError
 from . import llvm
-
-if TYPE_CHECKING:
-    pass
-
 
 VARIANT = "llvm_ad_rgb"
 

@@ -13,10 +13,10 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrays import upload
+
 if TYPE_CHECKING:
     import mitsuba as mi
-
-from .arrays import upload
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import OptionError, SensorError
+from ..camera import image_size
+from ..errors import SensorError
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -85,7 +86,7 @@ def at_identity(sensor: mi.Sensor, name: str, size: tuple[int, int] | None) -> I
             f"sensor {name} is in use{shared}: end the measurement that has it before another begins, or "
             "load the scene again"
         )
-    resized = {} if size is None else {"film.size": mi.ScalarVector2u(*_checked(size))}
+    resized = {} if size is None else {"film.size": mi.ScalarVector2u(*image_size(size))}
     params = mi.traverse(sensor)
 
     def put(values: dict[str, Any]) -> None:
@@ -107,13 +108,3 @@ def at_identity(sensor: mi.Sensor, name: str, size: tuple[int, int] | None) -> I
             put(resized)
         put({"to_world": mi.Transform4f()})
         yield to_world
-
-
-def _checked(size: tuple[int, int]) -> tuple[int, int]:
-    try:
-        width, height = (int(value) for value in size)
-    except (TypeError, ValueError) as error:
-        raise OptionError(f"size must be two whole numbers, width and height; got {size!r}") from error
-    if width <= 0 or height <= 0:
-        raise OptionError(f"size must be positive; got {width}x{height}")
-    return width, height

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from .arrays import download, widened
 from .film import PixelFilter
-from .random import _sequence_seeds, lane_sampler, resumed, seeding
+from .random import lane_sampler, resumed, seeding, sequence_seeds
 from .rays import Lanes, camera_ray, move_ray, opaque_transform
 from .recorded import join, split
 from .sobol import sobol_point
@@ -164,7 +164,7 @@ def sum_samples(
     i = mi.UInt32(0)
     seeds = [mi.UInt32(0)] * 3
     if dr.hint(even, mode="scalar"):
-        seeds = _sequence_seeds(sampler, 2)
+        seeds = sequence_seeds(sampler, 2)
     state = mi.UInt64(sampler.rng.state)
     while dr.hint(
         i < spp,

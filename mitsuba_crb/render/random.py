@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 
 from ..information.blocks import BLOCK
+from .rays import Lanes
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
-from .rays import Lanes
 
 PILOT, EVEN = 0x50494C4F, 0x4556454E
 """Purposes of the random numbers of pilot renders, and of what a block's pixels share; Jacobians use 0, but
@@ -106,8 +106,9 @@ class EvenNumbers:
         rank = x & 0
         for bit in range((BLOCK - 1).bit_length()):
             rank |= (x >> bit & 1) << 2 * bit | (y >> bit & 1) << 2 * bit + 1
-        return EvenNumbers(rank, [_sequence_seeds(sampler, d) for d in dimensions])
+        return EvenNumbers(rank, [sequence_seeds(sampler, d) for d in dimensions])
 
 
-def _sequence_seeds(sampler: mi.Sampler, dimensions: int) -> list[mi.UInt32]:
+def sequence_seeds(sampler: mi.Sampler, dimensions: int) -> list[mi.UInt32]:
+    """Of one Sobol' sequence of so many coordinates."""
     return [sampler.rng.next_uint32() for _ in range(1 + dimensions)]

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import Camera
+from .arrays import download, upload
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
     from .view import View
-from .arrays import download, upload
 
 
 def camera_ray(view: View, film: mi.Point2f, aperture: mi.Point2f) -> tuple[mi.Ray3f, mi.Color3f]:

@@ -1,11 +1,4 @@
-"""Scenes: load, choose and check the camera, pose it without touching the file.
-
-A measurement needs six things of a scene: the scene, an integrator that returns radiance for rays, a sensor
-whose rays can be had in its own frame, the film's filter and size, and the pose. `open_view` gathers them in
-a `View` and undoes whatever it changed. While a view is open the sensor stands at the origin of its own
-frame (`to_world` = identity): rays are made there in float32 and moved by a float64 pose, so that neither a
-new pose nor a geo-referenced origin costs digits or a new kernel.
-"""
+"""Scenes: loaded from files, dictionaries and objects; what is wrong with one, in a line; what is in it."""
 
 from __future__ import annotations
 
@@ -56,13 +49,13 @@ def load_scene(path: str | os.PathLike[str], /, **defines: str) -> mi.Scene:
         with _loading():
             scene = mi.load_file(str(file), **{key: str(value) for key, value in defines.items()})
     except Exception as error:  # Mitsuba raises RuntimeError and others for a bad scene file
-        raise SceneError(_parser_message(error, file)) from error
+        raise SceneError(parser_message(error, file)) from error
     if not isinstance(scene, mi.Scene):
         raise SceneError(f"{file} holds no <scene> at its top")
     return scene
 
 
-def _parser_message(error: Exception, file: Path) -> str:
+def parser_message(error: Exception, file: Path) -> str:
     """Mitsuba's parser message in one line, with what to do about it."""
     # Mitsuba quotes what it cannot read, which need not be text.
     message = error.object.decode(errors="replace") if isinstance(error, UnicodeDecodeError) else str(error)
@@ -137,7 +130,7 @@ def _loaded(scene: Any) -> tuple[mi.Scene, str]:
         try:
             loaded = mi.load_dict(dict(scene))
         except Exception as error:  # Mitsuba raises RuntimeError and others for a bad dictionary
-            raise SceneError(_parser_message(error, Path("dict"))) from error
+            raise SceneError(parser_message(error, Path("dict"))) from error
         if not isinstance(loaded, mi.Scene):
             raise SceneError("the dictionary is no scene: it needs 'type': 'scene' at its top")
         return loaded, "dict"

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from .. import se3
 from ..errors import FilmError, IntegratorError, PoseError, SensorError
 from .lending import at_identity, turns
+from .scene import as_scene, parser_message
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from ..camera import Camera
     from .film import PixelFilter
     from .recorded import Recorder
-from .scene import _parser_message, as_scene
+
 
 SENSORS = {"PerspectiveCamera": "perspective", "ThinLensCamera": "thinlens"}
 """Supported sensors: Mitsuba's class name, and the plugin's."""
@@ -196,7 +197,7 @@ def _find_integrator(scene: mi.Scene, integrator: Any) -> mi.SamplingIntegrator:
         try:
             found = mi.load_dict(config)
         except Exception as error:
-            raise IntegratorError(_parser_message(error, Path("integrator"))) from error
+            raise IntegratorError(parser_message(error, Path("integrator"))) from error
     else:
         found = integrator
     if found.class_name() in _NO_RADIANCE or not isinstance(found, mi.SamplingIntegrator):

@@ -20,6 +20,7 @@ from mitsuba_crb.cli import app as cli
 from mitsuba_crb.cli.arguments import parse_defines, parse_pose, parse_size
 from mitsuba_crb.errors import OptionError, PoseError, PrecisionWarning, SceneError
 from mitsuba_crb.estimate import trials  # noqa: F401  before a test lends it another load_scene
+from mitsuba_crb.jacobian.finite_difference import STEP_PIXELS
 from mitsuba_crb.measure import check as validation
 from mitsuba_crb.measure import options as measuring
 from mitsuba_crb.measure import pose as measure
@@ -199,6 +200,13 @@ def test_a_nuisance_per_tile_is_refused_with_random_pixels(capsys):
         capsys, "bound", WALL, "--size", "16x12", "--marginalize", "black:8", "--pixels", "random:0.1"
     )
     assert "black:8 with random:f pixels" in message
+
+
+def test_the_keywords_are_the_options():
+    keywords = measuring.MeasurementKeywords.__annotations__
+    written = {name: kind.__forward_arg__ for name, kind in keywords.items()}
+    assert written == measuring.MeasurementOptions.__annotations__
+    assert measuring.MeasurementOptions.step_pixels == STEP_PIXELS
 
 
 @pytest.mark.parametrize(

@@ -17,14 +17,13 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from matrices import misfit
-from one_go import measured
+from one_go import estimated, measured
 from scipy.stats import norm
 from small_scenes import T, camera, scene, texture, textured_wall, wall
 
 from mitsuba_crb import pose_bound, pose_jacobian, se3
 from mitsuba_crb.errors import FilmError, PrecisionWarning
 from mitsuba_crb.jacobian import flow, pair_sums
-from mitsuba_crb.jacobian.method import Paths, estimates
 from mitsuba_crb.jacobian.pairs import PairSample, filter_pairs
 from mitsuba_crb.jacobian.view_term import ViewTerm, _turn_of_lobes
 from mitsuba_crb.noise import Gaussian
@@ -249,7 +248,7 @@ def test_the_image_is_as_clean_as_a_plain_render(name: str) -> None:
         pixels = all_pixels(view)
         truth = render_pixels(view, pixels, spp=8192, seed=1)[0]
         plain = render_pixels(view, pixels, spp=64, seed=2)[0]
-        *_, images, image = all_of(view, pixels, spp=64)
+        *_, images, image = estimated(flow.Flow, view, pixels, spp=64, seed=0, batches=4)
     beside = truth.max(axis=1) < 1.5
     error, usual, control = (np.abs(a - truth)[beside] for a in (image, plain, images.mean(axis=0)))
     # Pairs are not spread as the filter is, but share out their numbers: about as many paths' worth.
@@ -266,7 +265,7 @@ def test_no_pixel_of_a_plain_wall_stands_out() -> None:
     with open_view(which) as view:
         pixels = all_pixels(view)
         truth = render_pixels(view, pixels, spp=1024, seed=1)[0, :, 0]
-        *_, images, image = all_of(view, pixels, spp=64)
+        *_, images, image = estimated(flow.Flow, view, pixels, spp=64, seed=0, batches=4)
     np.testing.assert_array_equal(pose_jacobian(which, spp=64).image.reshape(-1, 3), image)
     for shown, stands_out in ((image[:, 0], False), (images.mean(axis=0)[:, 0], True)):
         error = shown - truth
@@ -276,7 +275,7 @@ def test_no_pixel_of_a_plain_wall_stands_out() -> None:
 @pytest.mark.parametrize("name", ["gaussian", "mitchell", "lanczos", "box"])
 def test_the_image_of_few_paths_is_finite(name: str) -> None:
     with open_view(lamp_before_a_wall(name)) as view:
-        *_, image = all_of(view, all_pixels(view), spp=4)
+        *_, image = estimated(flow.Flow, view, all_pixels(view), spp=4, seed=0, batches=4)
     assert np.isfinite(image).all()
 
 
@@ -284,12 +283,6 @@ def lamp_before_a_wall(filter_name: str) -> dict[str, Any]:
     light = {"type": "area", "radiance": {"type": "rgb", "value": 20.0}}
     lamp = {"type": "sphere", "center": [0.2, 0.1, 2.0], "radius": 0.4, "emitter": light}
     return scene(wall=wall(texture()), lamp=lamp, sensor=with_filter(filter_name))
-
-
-def all_of(view: View, pixels: np.ndarray, *, spp: int) -> Any:
-    """Jacobian, each batch's image, and the image (n, 3)."""
-    mask = np.ones(view.size[::-1], dtype=bool)
-    return estimates(flow.Flow.open(view, mask, Paths(spp, 0, 4), step_pixels=0.15), pixels)
 
 
 # Paths
