@@ -34,7 +34,7 @@ from mitsuba_crb.errors import OutOfViewError
 from mitsuba_crb.estimate.align import Alignment, Anchor, align
 from mitsuba_crb.measure.measurement import measurement
 from mitsuba_crb.noise import Gaussian
-from mitsuba_crb.processes import each
+from mitsuba_crb.processes import in_processes
 from mitsuba_crb.render.scene import load_scene
 
 ROOT = Path(__file__).parents[1]
@@ -228,7 +228,7 @@ def main() -> None:
         if starts == "far" or variant == CLAIMED[starts]
     ]
     done: dict[int, list[list[str]]] = {}
-    for index, rows in each(work, jobs, 2):
+    for index, rows in in_processes(work, jobs, 2):
         done[index] = rows
         print(f"{len(done)}/{len(jobs)} {jobs[index].starts} {jobs[index].variant}", flush=True)
     rows = [row for index in sorted(done) for row in done[index]]

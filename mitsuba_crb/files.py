@@ -110,7 +110,7 @@ def _grey(data: bytes) -> NDArray[np.uint8]:
 def atomic(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` that replaces it when the block ends, and vanishes if it fails."""
     target = Path(os.path.realpath(path))  # a link keeps pointing where it did
-    temporary = beside(target)
+    temporary = temporary_path(target)
     try:
         yield temporary
         os.replace(temporary, target)
@@ -121,6 +121,6 @@ def atomic(path: Path) -> Iterator[Path]:
             temporary.unlink()
 
 
-def beside(path: Path) -> Path:
+def temporary_path(path: Path) -> Path:
     """A new name in the same folder."""
     return path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")

@@ -34,11 +34,13 @@ def cores() -> int:
 
 
 def is_worker() -> bool:
-    """Whether this process was started by `each`."""
+    """Whether this process was started by `in_processes`."""
     return bool(_share)
 
 
-def each(work: Callable[[Any], T], jobs: Sequence[Any], workers: int | None) -> Generator[tuple[int, T]]:
+def in_processes(
+    work: Callable[[Any], T], jobs: Sequence[Any], workers: int | None
+) -> Generator[tuple[int, T]]:
     """The index and the result of every job, as they end.
 
     Args:

@@ -20,14 +20,14 @@ from mitsuba_crb.render.backend import use_mitsuba
 
 PARENT = """
 import os, time
-from mitsuba_crb.processes import each
+from mitsuba_crb.processes import in_processes
 
 def work(seconds):
     os.write(1, f"{os.getpid()}\\n".encode())  # at once, whatever the other one writes
     time.sleep(seconds)
 
 if __name__ == "__main__":
-    list(each(work, [300.0, 300.0], 2))
+    list(in_processes(work, [300.0, 300.0], 2))
 """
 
 
@@ -69,7 +69,7 @@ def _cores_and_threads(_: int) -> tuple[int, int, int]:
 def test_workers_share_the_cores(cores: int, share: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(processes, "cores", lambda: cores)
     before = dr.thread_count()
-    found = [seen for _, seen in processes.each(_cores_and_threads, range(2), 2)]
+    found = [seen for _, seen in processes.in_processes(_cores_and_threads, range(2), 2)]
     assert [seen[1:] for seen in found] == [(share, share)] * 2
     assert os.getpid() not in [seen[0] for seen in found]
     assert dr.thread_count() == before
@@ -80,9 +80,10 @@ def test_only_cores_that_the_process_may_run_on_count() -> None:
     """So that on one of them nothing is spawned."""
     code = (
         "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
-        "from mitsuba_crb.processes import cores, each\n"
+        "from mitsuba_crb.processes import cores, in_processes\n"
         "assert cores() == 1\n"
-        "assert list(each(lambda job: os.getpid(), [0, 1], None)) == [(0, os.getpid()), (1, os.getpid())]\n"
+        "ended = list(in_processes(lambda job: os.getpid(), [0, 1], None))\n"
+        "assert ended == [(0, os.getpid()), (1, os.getpid())]\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

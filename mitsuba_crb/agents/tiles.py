@@ -3,7 +3,7 @@
 A tile is a rectangle of one agent's image; its information about a pose adds to every other tile's, because
 the noise of different pixels is independent. All 6 x 6 blocks are in the body frame of their pose, with
 translation in units of a length scale (`se3`). Once they are about the one pose that the agents have in
-common (`together`), they may simply be added.
+common (`about_common_body`), they may simply be added.
 """
 
 from __future__ import annotations
@@ -215,7 +215,7 @@ class Problem:
         return replace(kept, limits=Limits(agent_tiles, agent_bytes, tiles, total))
 
 
-def together(
+def about_common_body(
     agents: Sequence[TileInformation], common_from_agents: Sequence[ArrayLike], *, variable: str = "body"
 ) -> list[TileInformation]:
     """Tiles about each agent's own pose, made tiles about the pose of the body that they all sit on.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import OutputError
-from ..files import beside
+from ..files import temporary_path
 
 
 def check_target(path: Path, option: str, inputs: Sequence[Path] = (), *, resumes: bool = False) -> None:
@@ -35,7 +35,7 @@ def check_target(path: Path, option: str, inputs: Sequence[Path] = (), *, resume
     if not resumes and os.path.isfile(path) and _holds_trials(path):
         raise OutputError(f"{option} {path}: this holds trials that would be lost; name another file")
     # asking by writing: permission bits say nothing about root, read-only mounts and quotas
-    probe = beside(target)
+    probe = temporary_path(target)
     try:
         probe.touch(exist_ok=False)
         probe.unlink()

@@ -296,7 +296,7 @@ class Accumulator(Protocol):
         """See `InformationAccumulator.add_coupled`."""
 
 
-def feed(
+def sum_image(
     accumulator: Accumulator, jacobian: ImageJacobian, noise: NoiseModel, mean: ArrayLike | None = None
 ) -> None:
     """Add a whole Jacobian under a noise model of either kind.
@@ -346,7 +346,7 @@ def fisher_information(
     Args:
         jacobian: the image's derivative.
         noise: noise model of the measured image.
-        mean: see `feed`.
+        mean: see `sum_image`.
 
     Raises:
         NoiseError: the noise model does not fit the image.
@@ -365,7 +365,7 @@ def fisher_information(
         sampled=camera.selection.kind == "random",
         coupled=as_noise_model(noise).couples_pixels,
     )
-    feed(accumulator, camera, noise, mean)
+    sum_image(accumulator, camera, noise, mean)
     information = accumulator.information(
         frame="camera",
         variable=jacobian.variable,

@@ -34,7 +34,7 @@ from .. import se3
 from ..errors import NuisanceError, OptionError, PixelsError
 from ..noise import CoupledNoise, NoiseModel
 from ..se3 import Array
-from .accumulate import InformationAccumulator, Sums, as_noise_model, feed
+from .accumulate import InformationAccumulator, Sums, as_noise_model, sum_image
 from .blocks import BLOCK
 from .fisher import FisherInformation
 from .identifiability import FLOAT32_FLOOR
@@ -273,7 +273,7 @@ def joint_information(
     Args:
         jacobian: the image's derivative, nuisance columns included.
         noise: noise model of the measured image.
-        mean: see `information.feed`.
+        mean: see `information.sum_image`.
 
     Raises:
         NoiseError: the noise model does not fit the image.
@@ -287,7 +287,7 @@ def joint_information(
         sampled=camera.selection.kind == "random",
         coupled=as_noise_model(noise).couples_pixels,
     )
-    feed(accumulator, camera, noise, mean)
+    sum_image(accumulator, camera, noise, mean)
     return accumulator.information(
         variable=camera.variable,
         pose=camera.pose,

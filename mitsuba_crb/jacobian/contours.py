@@ -304,7 +304,7 @@ def _look(
     """
     import mitsuba as mi
 
-    arrays = contours.beside(placed, samples.aperture) | {
+    arrays = contours.side_points(placed, samples.aperture) | {
         "block": upload(mi.UInt32, widened(blocks[samples.owner])),
         "number": upload(mi.UInt32, widened(samples.number)),
         "seeds": seeding(seed, PATHS),

@@ -27,10 +27,10 @@ from ..render.film import PixelFilter
 if TYPE_CHECKING:
     import mitsuba as mi
 
-CELLS = 2048
-RATIO_CELLS = 256
+PIECES = 2048
+RATIO_PIECES = 256
 GRID = 1024
-"""Cells of [0, radius] that h is linear in."""
+"""Pieces of [0, radius] that h is linear in."""
 
 
 class PairSample(NamedTuple):
@@ -91,9 +91,9 @@ class SmoothPairs:
         mass = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(h)) * far)])
         # Rounding makes h's flat parts noisy; a little uniform mass keeps the nodes apart.
         mass = mass / mass[-1] + 1e-4 * grid / radius
-        nodes = np.interp(np.linspace(0.0, mass[-1], CELLS + 1), mass, grid)
+        nodes = np.interp(np.linspace(0.0, mass[-1], PIECES + 1), mass, grid)
         values = np.interp(nodes, grid, h)
-        middle = (np.arange(RATIO_CELLS) + 0.5) * radius / RATIO_CELLS
+        middle = (np.arange(RATIO_PIECES) + 0.5) * radius / RATIO_PIECES
         slope = np.abs(np.interp(middle, 0.5 * (grid[1:] + grid[:-1]), np.diff(h) / np.diff(grid) * far))
         size = np.abs(np.interp(middle, grid, h))
         ratio = (slope + 1e-3 * slope.max()) / (size + 1e-3 * size.max())
@@ -114,17 +114,20 @@ class SmoothPairs:
         import mitsuba as mi
 
         along_x = kind == 0
-        scaled = point.x * CELLS
-        cell = dr.minimum(mi.UInt32(scaled), CELLS - 1)
-        low, high = dr.gather(mi.Float, self.nodes, cell), dr.gather(mi.Float, self.nodes, cell + 1)
-        h_low, h_high = dr.gather(mi.Float, self.values, cell), dr.gather(mi.Float, self.values, cell + 1)
-        fraction = scaled - mi.Float(cell)
+        scaled = point.x * PIECES
+        piece = dr.minimum(mi.UInt32(scaled), PIECES - 1)
+        low, high = dr.gather(mi.Float, self.nodes, piece), dr.gather(mi.Float, self.nodes, piece + 1)
+        h_low, h_high = (
+            dr.gather(mi.Float, self.values, piece),
+            dr.gather(mi.Float, self.values, piece + 1),
+        )
+        fraction = scaled - mi.Float(piece)
         r = dr.fma(fraction, high - low, low)
         h_r = dr.fma(fraction, h_high - h_low, h_low)
         s, q = self.pixel_filter.table.sample(point.y)
         h_s = self.pixel_filter.eval(s)
         # |x| has density 1/(N width), x half of it, and each of the two halves half the pair's weight.
-        weight = h_s / q * (CELLS * dr.rcp(dr.select(along_x, counts[0], counts[1])))
+        weight = h_s / q * (PIECES * dr.rcp(dr.select(along_x, counts[0], counts[1])))
         slope = (h_high - h_low) * weight
         ratio_r = self._ratio(r) * dr.select(along_x, counts[0], counts[1])
         ratio_s = self._ratio(dr.abs(s)) * dr.select(along_x, counts[1], counts[0])
@@ -138,8 +141,8 @@ class SmoothPairs:
     def _ratio(self, x: mi.Float) -> mi.Float:
         import mitsuba as mi
 
-        cell = mi.UInt32(x * (RATIO_CELLS / self.pixel_filter.radius))
-        return dr.gather(mi.Float, self.ratio, dr.minimum(cell, RATIO_CELLS - 1))
+        piece = mi.UInt32(x * (RATIO_PIECES / self.pixel_filter.radius))
+        return dr.gather(mi.Float, self.ratio, dr.minimum(piece, RATIO_PIECES - 1))
 
 
 @dataclass(frozen=True)

@@ -102,7 +102,7 @@ class Contours:
         radius = self.view.pixel_filter.radius
         return np.concatenate([low + 0.5 - radius, high - 0.5 + radius], axis=1)
 
-    def beside(self, placed: Placed, aperture: Floats) -> dict[str, Any]:
+    def side_points(self, placed: Placed, aperture: Floats) -> dict[str, Any]:
         """Points just beside those on contours, as kernel input; a lone one twice.
 
         Args:
@@ -143,7 +143,7 @@ def look(view: View, arrays: dict[str, Any]) -> tuple[Sides, mi.Ray3f, mi.Color3
     """What rays just beside points of contours see, and those on the background's side and their weights.
 
     Args:
-        arrays: from `Contours.beside`.
+        arrays: from `Contours.side_points`.
 
     Returns:
         The rays in the world; all of it to be evaluated.
@@ -260,7 +260,7 @@ def _weighted(contours: Contours, block: Ints, length: Floats) -> Contours:
         placed = contours.place(np.arange(n), np.full(n, u), centre, everywhere)
         near = np.maximum(near, 1.0 / placed.seen[:, 2])
         if n:  # Dr.Jit does not divide empty arrays
-            arrays = contours.beside(placed, np.full((n, 2), 0.5))
+            arrays = contours.side_points(placed, np.full((n, 2), 0.5))
             sides = view.recorder.ready("probes", body, view, arrays, (view.integrator.hide_emitters,))()
             jump = contours.jump(Sides(*map(np.asarray, sides)), placed, np.arange(n), centre)
             seen += 0.5 * jump * placed.seen[:, 2]

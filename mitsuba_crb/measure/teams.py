@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from ..agents.fusion import Agent, Fusion, fuse
 from ..agents.selection import TileSelection, select_tiles
 from ..agents.team import Member, Team
-from ..agents.tiles import Budget, TileInformation, together
+from ..agents.tiles import Budget, TileInformation, about_common_body
 from ..bound.cramer_rao import PoseBound
 from ..errors import MitsubaCRBError
-from ..processes import each
+from ..processes import in_processes
 from ..render.scene import load_scene
 from .pose import pose_bound
 from .tile_jacobian import TileJacobian
@@ -117,7 +117,7 @@ def select_team(
     """
     measured, texts = _each(_tiles, team, workers, on_agent)
     own, images = zip(*measured, strict=True)
-    agents = together(own, team.transforms([tiles.pose for tiles in own]), variable=team.body)
+    agents = about_common_body(own, team.transforms([tiles.pose for tiles in own]), variable=team.body)
     limits = replace(
         budget,
         tiles_per_agent=_per_agent(budget.tiles_per_agent, {m.name: m.tiles for m in team.members}),
@@ -167,7 +167,7 @@ def _each(
     """
     jobs = [(measure, Job(member, team.options(member), team.tiles)) for member in team.members]
     outcomes: dict[int, _Outcome] = {}
-    with closing(each(_outcome, jobs, workers)) as ended:
+    with closing(in_processes(_outcome, jobs, workers)) as ended:
         for index, outcome in ended:
             if outcome.error is not None:
                 for warning in outcome.warnings:

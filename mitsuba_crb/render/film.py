@@ -45,10 +45,10 @@ class OffsetTable:
         import mitsuba as mi
 
         scaled = u * self.count
-        cell = dr.minimum(mi.UInt32(scaled), self.count - 1)
-        low = dr.gather(mi.Float, self.nodes, cell)
-        width = dr.gather(mi.Float, self.nodes, cell + 1) - low
-        return dr.fma(scaled - mi.Float(cell), width, low), dr.rcp(width * self.count)
+        interval = dr.minimum(mi.UInt32(scaled), self.count - 1)
+        low = dr.gather(mi.Float, self.nodes, interval)
+        width = dr.gather(mi.Float, self.nodes, interval + 1) - low
+        return dr.fma(scaled - mi.Float(interval), width, low), dr.rcp(width * self.count)
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class PixelFilter:
     """∫ of Mitsuba's unnormalised one-dimensional filter."""
     table: OffsetTable
     values: NDArray[np.float64]
-    """h in the middle of even cells of [−radius, radius] [1/pixel]."""
+    """h in the middle of even intervals of [−radius, radius] [1/pixel]."""
 
     @staticmethod
     def of(rfilter: mi.ReconstructionFilter) -> PixelFilter:
@@ -85,9 +85,9 @@ class PixelFilter:
     def interpolate(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """h(x) [1/pixel] in one dimension, to what float32 leaves of it (3e-5); zero beyond the radius."""
         place = (x / self.radius + 1.0) * (0.5 * len(self.values)) - 0.5
-        cell = np.clip(place.astype(np.int64), 0, len(self.values) - 2)
-        low = self.values[cell]
-        h = low + (place - cell) * (self.values[cell + 1] - low)
+        interval = np.clip(place.astype(np.int64), 0, len(self.values) - 2)
+        low = self.values[interval]
+        h = low + (place - interval) * (self.values[interval + 1] - low)
         return np.where(np.abs(x) <= self.radius, h, 0.0)
 
     def sample(self, u: mi.Point2f) -> tuple[mi.Point2f, mi.Float]:

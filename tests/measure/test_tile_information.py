@@ -14,7 +14,7 @@ from mitsuba_crb.agents.fusion import Agent, to_common
 from mitsuba_crb.agents.message import encode, message_size
 from mitsuba_crb.agents.selection import select_tiles
 from mitsuba_crb.agents.tile_grid import TileGrid
-from mitsuba_crb.agents.tiles import Budget, together
+from mitsuba_crb.agents.tiles import Budget, about_common_body
 from mitsuba_crb.errors import FrameError, OptionError, PoseError, SelectionError
 from mitsuba_crb.measure import tiles as measure_tiles
 from mitsuba_crb.measure.tiles import tile_information
@@ -40,7 +40,7 @@ def _scaled(information: Any) -> Any:
 def test_each_half_is_the_information_of_the_tile_s_pixels_from_its_batches(jacobian: Any) -> None:
     """The oracle assembles a Jacobian cut to the tile's pixels and to half of the batches."""
     own = tile_information(textured_wall(), SIGMA, tile_size=(16, 12), **FAST)
-    (found,) = together([own], [BODY])
+    (found,) = about_common_body([own], [BODY])
     assert found.tiles.tolist()[:3] == [[0, 0, 16, 12], [16, 0, 16, 12], [32, 0, 8, 12]]
     assert found.tiles.tolist()[-1] == [32, 24, 8, 6]
     for k, (x, y, width, height) in enumerate(found.tiles):
@@ -92,7 +92,7 @@ def test_the_cost_is_the_size_of_the_message() -> None:
     own = tile_information(
         textured_wall(), SIGMA, agent="robot é", form="sketch", precision="float16", rank=2, **FAST
     )
-    (found,) = together([own], [np.eye(4)])
+    (found,) = about_common_body([own], [np.eye(4)])
     assert found.cost_bytes.tolist() == [
         message_size(agent="robot é", variable="body", form="sketch", precision="float16", rank=2)
     ] * len(found.tiles)
@@ -141,7 +141,7 @@ def test_agents_are_brought_to_one_pose_and_unit() -> None:
         select=units[:, None] * a.select * units,
         report=units[:, None] * a.report * units,
     )
-    common = together([b, wider], [BODY, BODY], variable="rig")
+    common = about_common_body([b, wider], [BODY, BODY], variable="rig")
     assert {(agent.length_scale, agent.variable) for agent in common} == {(wider.length_scale, "rig")}
     assert common[0].cost_bytes[0] == b.cost_bytes[0] - len("camera") + len("rig")
     # The same tiles, said in another unit before.
@@ -152,11 +152,11 @@ def test_agents_are_brought_to_one_pose_and_unit() -> None:
     body = motion / np.repeat([wider.length_scale, 1.0], 3)
     assert body @ common[0].select[0] @ body == pytest.approx(own @ b.select[0] @ own, rel=1e-9)
     assert len(select_tiles(common, Budget(tiles=3)).chosen) == 3
-    assert together([], []) == []
+    assert about_common_body([], []) == []
     with pytest.raises(FrameError, match=r"agent 'b'.*0.1 scene units"):
-        together([a, b], [BODY, se3.exp([0, 0, 0.1, 0, 0, 0]) @ BODY])
+        about_common_body([a, b], [BODY, se3.exp([0, 0, 0.1, 0, 0, 0]) @ BODY])
     with pytest.raises(PoseError, match="scale"):
-        together([a], [np.diag([2.0, 2.0, 2.0, 1.0])])
+        about_common_body([a], [np.diag([2.0, 2.0, 2.0, 1.0])])
 
 
 def test_noise_that_mixes_a_pixel_s_channels_weighs_by_blocks() -> None:
