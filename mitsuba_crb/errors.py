@@ -16,7 +16,7 @@ class LLVMError(MitsubaCRBError):
 
 
 class VariantError(MitsubaCRBError):
-    """Mitsuba is missing, or runs in a variant other than llvm_ad_rgb."""
+    """Mitsuba is missing, or its variant is neither llvm_ad_rgb nor cuda_ad_rgb, or does not run here."""
 
 
 class SceneError(MitsubaCRBError):

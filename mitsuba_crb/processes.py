@@ -39,7 +39,11 @@ def is_worker() -> bool:
 
 
 def in_processes(
-    work: Callable[[Any], T], jobs: Sequence[Any], workers: int | None
+    work: Callable[[Any], T],
+    jobs: Sequence[Any],
+    workers: int | None,
+    *,
+    prepare: Callable[[], object] | None = None,
 ) -> Generator[tuple[int, T]]:
     """The index and the result of every job, as they end.
 
@@ -47,6 +51,7 @@ def in_processes(
         work: a function of a module; it and the jobs are pickled.
         jobs: its arguments.
         workers: processes, which share the cores; None: one per job, but no more than cores. 1 spawns none.
+        prepare: what every process that is spawned does first; pickled.
 
     Raises:
         OptionError: fewer than one worker.
@@ -60,7 +65,9 @@ def in_processes(
         yield from ((index, work(job)) for index, job in enumerate(jobs))
         return
     share = max(1, cores() // count)
-    with ProcessPoolExecutor(count, get_context("spawn"), initializer=_begin, initargs=(share,)) as pool:
+    with ProcessPoolExecutor(
+        count, get_context("spawn"), initializer=_begin, initargs=(share, prepare)
+    ) as pool:
         with _interrupts_ignored():
             futures = {pool.submit(work, job): index for index, job in enumerate(jobs)}
         try:
@@ -88,12 +95,14 @@ def _interrupts_ignored() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _begin(share: int) -> None:
+def _begin(share: int, prepare: Callable[[], object] | None) -> None:
     _share[:] = [share]
     # Ctrl-C reaches all processes of a terminal: the parent says so, once.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     # A parent that is killed cannot say so: its workers would wait for ever.
     threading.Thread(target=_die_with_parent, daemon=True).start()
+    if prepare is not None:
+        prepare()
 
 
 def _die_with_parent() -> None:

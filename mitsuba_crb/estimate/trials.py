@@ -38,6 +38,7 @@ from ..measure.measurement import measurement
 from ..measure.options import VALIDATING, MeasurementKeywords
 from ..noise import Gaussian
 from ..processes import in_processes
+from ..render.backend import same_variant
 from ..render.fingerprint import fingerprint, mask_fingerprint
 from ..render.lending import in_turn
 from ..render.scene import as_scene, load_scene
@@ -229,7 +230,7 @@ def validate(
     chunks = [(shared, missing[k : k + _CHUNK]) for k in range(0, len(missing), _CHUNK)]
     if workers == 1:
         chunks = [(dataclasses.replace(shared, scene=loaded), indices) for _, indices in chunks]
-    for _, results in in_processes(_run, chunks, workers):
+    for _, results in in_processes(_run, chunks, workers, prepare=same_variant()):
         done |= {trial.index: trial for trial in results}
         if resume is not None:
             done = _resumed(_recorded(resume), settings) | done  # another run may have written meanwhile

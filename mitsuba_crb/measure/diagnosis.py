@@ -18,10 +18,11 @@ from typing import NamedTuple
 from ..errors import LLVMError
 from ..processes import cores
 from ..render import llvm
+from ..render.backend import VARIANTS, use_mitsuba
 
 _PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "OpenEXR")
 _STAGES = ("Mitsuba loads", "float type", "16x16 bound")
-_TRIAL = "from mitsuba_crb.measure.diagnosis import trial; trial()"
+_TRIAL = "from mitsuba_crb.measure.diagnosis import trial; trial({variant!r})"
 _PATIENCE = 300.0  # seconds; a first bound compiles its kernels in a few
 _MARK = "mitsuba-crb doctor\t"
 
@@ -53,8 +54,12 @@ class Diagnosis:
         )
 
 
-def diagnose() -> Diagnosis:
-    """Versions, LLVM in use, cores, float type, and whether a 16x16 bound runs; raises nothing."""
+def diagnose(variant: str = VARIANTS[0]) -> Diagnosis:
+    """Versions, LLVM in use, cores, float type, and whether a 16x16 bound runs; raises nothing.
+
+    Args:
+        variant: Mitsuba's; without LLVM in its name it needs none.
+    """
     rows = [
         Row("Python", f"{platform.python_version()} ({sys.executable})", True),
         Row("platform", platform.platform(), True),
@@ -62,25 +67,26 @@ def diagnose() -> Diagnosis:
         _package("mitsuba_crb"),
         *map(_package, _PACKAGES),
     ]
+    trial = _TRIAL.format(variant=variant)
+    if "llvm" not in variant:
+        return Diagnosis((*rows, *_try(trial, _PATIENCE)))
     try:
         library = llvm.configure()
     except LLVMError as error:
         tried = [Row(stage, "not tried without a usable LLVM", False) for stage in _STAGES]
         return Diagnosis((*rows, Row("LLVM", str(error), False), *tried))
     found = Row("LLVM", f"{library.version} ({library.path or 'unknown path'}, by {library.origin})", True)
-    return Diagnosis((*rows, found, *_try(_TRIAL, _PATIENCE)))
+    return Diagnosis((*rows, found, *_try(trial, _PATIENCE)))
 
 
-def trial() -> None:
+def trial(variant: str) -> None:
     """What the process of its own does: reports each stage on standard output; not meant to be called."""
-    from ..render.backend import VARIANT, use_mitsuba
-
-    use_mitsuba()
+    use_mitsuba(variant)
     import drjit as dr
     import mitsuba as mi
 
     _report(str(mi.__version__))
-    _report(f"{str(dr.type_v(mi.Float).name).lower()} ({VARIANT})")
+    _report(f"{str(dr.type_v(mi.Float).name).lower()} ({variant})")
 
     import numpy as np
 

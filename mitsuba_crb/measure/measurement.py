@@ -29,6 +29,7 @@ from ..information.joint import JointAccumulator, JointInformation, tile_side
 from ..jacobian.method import Estimates, Method, Paths, Tile
 from ..noise import CoupledNoise, Gaussian, NoiseModel
 from ..render import llvm
+from ..render.backend import use_mitsuba
 from ..render.random import PILOT
 from ..render.rays import coarse_grid
 from .measurable import Measurable
@@ -341,12 +342,12 @@ def _pilot(
 
 
 def versions() -> dict[str, str]:
-    """Versions of everything that the numbers depend on."""
-    return dict(_versions())
+    """Versions of everything that the numbers depend on, and Mitsuba's variant."""
+    return dict(_versions(use_mitsuba()))
 
 
 @cache
-def _versions() -> Mapping[str, str]:
+def _versions(variant: str) -> Mapping[str, str]:
     packages = ("mitsuba_crb", "mitsuba", "drjit", "numpy", "scipy")
     found = {name: importlib.metadata.version(name) for name in packages}
-    return {**found, "llvm": llvm.configure().version}
+    return {**found, "variant": variant, **({"llvm": llvm.configure().version} if "llvm" in variant else {})}

@@ -23,6 +23,7 @@ from ..agents.tiles import Budget, TileInformation, about_common_body
 from ..bound.cramer_rao import PoseBound
 from ..errors import MitsubaCRBError
 from ..processes import in_processes
+from ..render.backend import same_variant
 from ..render.scene import load_scene
 from .pose import pose_bound
 from .tile_jacobian import TileJacobian
@@ -167,7 +168,7 @@ def _each(
     """
     jobs = [(measure, Job(member, team.options(member), team.tiles)) for member in team.members]
     outcomes: dict[int, _Outcome] = {}
-    with closing(in_processes(_outcome, jobs, workers)) as ended:
+    with closing(in_processes(_outcome, jobs, workers, prepare=same_variant())) as ended:
         for index, outcome in ended:
             if outcome.error is not None:
                 for warning in outcome.warnings:

@@ -90,7 +90,8 @@ def as_scene(scene: Any) -> tuple[mi.Scene, str]:
     """The scene of a path, a dictionary or a scene, and what to call it.
 
     Raises:
-        SceneError: it is none of these, cannot be loaded, or has a mesh without faces.
+        SceneError: it is none of these, was loaded under another variant, cannot be loaded, or has a mesh
+            without faces.
     """
     use_mitsuba()
     with _loading():
@@ -136,4 +137,9 @@ def _loaded(scene: Any) -> tuple[mi.Scene, str]:
         return loaded, "dict"
     if isinstance(scene, str | os.PathLike):
         return load_scene(scene), os.fspath(scene)
+    variant = getattr(scene, "variant_name", str)()
+    if variant not in ("", mi.variant()):
+        raise SceneError(
+            f"this scene was loaded under variant {variant}, and {mi.variant()} is set now: load it again"
+        )
     raise SceneError(f"a scene is a path, a dictionary or an mi.Scene, not {type(scene).__name__}")
