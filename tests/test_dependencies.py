@@ -10,7 +10,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 
-DISTRIBUTIONS = {"PIL": "pillow", "skimage": "scikit-image", "mpl_toolkits": "matplotlib"}
+DISTRIBUTIONS = {
+    "PIL": "pillow",
+    "skimage": "scikit-image",
+    "mpl_toolkits": "matplotlib",
+    "pydantic_core": "pydantic",
+}
 """Of modules that are called otherwise."""
 
 

@@ -1,27 +1,26 @@
 """A team of agents from a TOML file: who looks at which scene, with what noise, and what may be sent.
 
-    [body]                            # the pose that all agents have in common
-    name = "formation"                # default "body"
-    pose = [0, 0, 2, 0, 0, 0, 1]      # world_from_body; default: the first agent's camera
+    [body]
+    name = "formation"
 
-    [measure]                         # as for `bound`; every agent gets random numbers of its own
-    size = [128, 96]                  # width and height in pixels
-    spp = 64                          # also seed, batches, method, integrator, drop_invalid
+    [measure]
+    size = [128, 96]
+    spp = 64
 
-    [tiles]                           # for `select`
-    size = 16                         # side, or width and height, in pixels
-    precision = "float16"             # of the messages whose size is the cost; also form, rank
+    [tiles]
+    size = 16
+    precision = "float16"
 
     [[agents]]
     name = "front"
-    scene = "hall.xml"                # beside this file
-    sensor = "left"                   # index or id; default 0
-    pose = [1, 0, 2, 0, 0, 0, 1]      # world_from_camera; default: the sensor's own
-    body_from_agent = [...]           # default: from the two poses
-    noise = 0.01                      # sigma of Gaussian noise, a table as in `noise.schema`, or the name of
-                                      # a file beside this one with such a table; default as for `bound`
-    budget = 8                        # tiles that it may send; also bytes
-    defines = { width = 64 }          # the scene's <default>s
+    scene = "hall.xml"
+    sensor = "left"
+    pose = [1, 0, 2, 0, 0, 0, 1]
+    noise = 0.01
+    budget = 8
+    defines = { width = 64 }
+
+`TeamTable` and the tables in it say which keys there are, and what they mean.
 
 Poses are x y z qx qy qz qw or 4x4 matrices, conventions as in `se3`. Everything is checked here, before
 anything is rendered; a key that nobody knows is an error that names the near one.
@@ -30,51 +29,85 @@ anything is rendered; a key that nobody knows is an error that names the near on
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field, NonNegativeInt
 
 from .. import noise, se3
 from ..errors import ConfigError, NoiseError, PoseError
-from ..files import read_toml
+from ..files import Table, checked, expected, read_toml
 from ..noise import NoiseModel
 from ..se3 import Array
+from .quantisation import Form, Precision
 
-_SECTIONS = {"body": dict, "measure": dict, "tiles": dict, "agents": list}
-_BODY = {"name": str, "pose": list}
-_MEASURE = {
-    "size": list,
-    "spp": int,
-    "seed": int,
-    "batches": int,
-    "method": str,
-    "integrator": str,
-    "drop_invalid": bool,
-}
-_TILES = {"size": (int, list), "form": str, "precision": str, "rank": int}
-_AGENT = {
-    "name": str,
-    "scene": str,
-    "sensor": (int, str),
-    "pose": list,
-    "body_from_agent": list,
-    "noise": (int, float, str, dict),
-    "budget": int,
-    "bytes": int,
-    "defines": dict,
-}
-_KINDS = {
-    int: "a whole number",
-    float: "a number",
-    str: "a text",
-    list: "a list",
-    dict: "a table",
-    bool: "true or false",
-}
+Size = Annotated[tuple[int, int], Field(strict=False), expected("width and height in whole pixels")]
+
+
+class BodyTable(Table):
+    """The pose that all agents have in common."""
+
+    name: str = "body"
+    pose: list[Any] | None = None
+    """world_from_body; default: the first agent's camera."""
+
+
+class MeasureTable(Table):
+    """`MeasurementOptions` of all agents; every agent gets random numbers of its own."""
+
+    size: Size | None = None
+    spp: int | None = None
+    seed: NonNegativeInt | None = None
+    batches: int | None = None
+    method: str | None = None
+    integrator: str | None = None
+    drop_invalid: bool | None = None
+
+
+class TilesTable(Table):
+    """What `tile_information` is told, for `select`."""
+
+    size: Annotated[int | Size, expected("a whole number of pixels, or two, width and height")] | None = None
+    """Side, or width and height [pixel]."""
+    form: Form | None = None
+    """Of the messages whose size is the tiles' cost."""
+    precision: Precision | None = None
+    rank: int | None = None
+
+
+class AgentTable(Table):
+    """One agent."""
+
+    name: str
+    scene: str
+    """A file beside this one."""
+    sensor: int | str = 0
+    """Index or id."""
+    pose: list[Any] | None = None
+    """world_from_camera; default: the sensor's own."""
+    body_from_agent: list[Any] | None = None
+    """Default: from the two poses."""
+    noise: float | str | dict[str, Any] | None = None
+    """Sigma of Gaussian noise, a table as in `noise.schema`, or the name of a file beside this one with such
+    a table; default as for `bound`."""
+    budget: NonNegativeInt | None = None
+    """Tiles that it may send."""
+    bytes: NonNegativeInt | None = None
+    """Bytes that it may send."""
+    defines: dict[str, str | int | float | bool] = Field(default={})
+    """The scene's `<default>`s."""
+
+
+class TeamTable(Table):
+    """The whole file."""
+
+    body: BodyTable = BodyTable()
+    measure: MeasureTable = MeasureTable()
+    tiles: TilesTable = TilesTable()
+    agents: list[AgentTable] = Field(default=[])
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,57 +176,40 @@ def load_team(path: Path) -> Team:
         PoseError: a pose or transform is no rigid motion.
         NoiseError: an impossible noise.
     """
-    document = read_toml(path, ConfigError)
-    _check(document, _SECTIONS, str(path))
-    sections = {name: document.get(name, {}) for name in ("body", "measure", "tiles")}
-    for name, schema in (("body", _BODY), ("measure", _MEASURE), ("tiles", _TILES)):
-        _check(sections[name], schema, f"{path}: [{name}]")
-    body, measure, tiles = sections.values()
-    _check_signs(measure, ("seed",), f"{path}: [measure]")
-    members = tuple(_member(table, k, path) for k, table in enumerate(document.get("agents", []), 1))
-    if not members:
+    table = checked(TeamTable, read_toml(path, ConfigError), ConfigError, str(path))
+    if not table.agents:
         raise ConfigError(f"{path} lists no agents: add [[agents]] with a name and a scene")
+    members = tuple(_member(agent, path) for agent in table.agents)
     names = [member.name for member in members]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ConfigError(f"{path}: agent names must differ, but {', '.join(map(repr, twice))} occurs twice")
+    tiles = table.tiles.model_dump(exclude_unset=True)
     return Team(
         path=path,
-        body=body.get("name", "body"),
-        world_from_body=_pose(body, "pose", f"{path}: [body]"),
+        body=table.body.name,
+        world_from_body=_pose(table.body.pose, f"{path}: [body]: pose"),
         members=members,
-        measure={key: tuple(value) if key == "size" else value for key, value in measure.items()},
-        tiles={
-            "tile_size" if key == "size" else key: tuple(value) if isinstance(value, list) else value
-            for key, value in tiles.items()
-        },
+        measure=table.measure.model_dump(exclude_unset=True),
+        tiles={"tile_size" if key == "size" else key: value for key, value in tiles.items()},
     )
 
 
-def _member(table: Any, number: int, path: Path) -> Member:
-    where = f"{path}: agent {number}"
-    if not isinstance(table, dict):
-        raise ConfigError(f"{where} is {table!r}; write every agent as a table [[agents]]")
-    if isinstance(table.get("name"), str):
-        where = f"{path}: agent {table['name']!r}"
-    _check(table, _AGENT, where)
-    missing = [key for key in ("name", "scene") if key not in table]
-    if missing:
-        raise ConfigError(f"{where} has no {missing[0]}")
-    _check_signs(table, ("budget", "bytes"), where)
-    scene = path.parent / table["scene"]
+def _member(table: AgentTable, path: Path) -> Member:
+    where = f"{path}: agent {table.name!r}"
+    scene = path.parent / table.scene
     if not os.path.isfile(scene):
         raise ConfigError(f"{where}: no scene file at {scene}")
     return Member(
-        name=table["name"],
+        name=table.name,
         scene=scene,
-        sensor=table.get("sensor", 0),
-        pose=_pose(table, "pose", where),
-        body_from_agent=_pose(table, "body_from_agent", where),
-        noise=_noise(table.get("noise"), path.parent, where),
-        tiles=table.get("budget"),
-        bytes=table.get("bytes"),
-        defines={key: str(value) for key, value in table.get("defines", {}).items()},
+        sensor=table.sensor,
+        pose=_pose(table.pose, f"{where}: pose"),
+        body_from_agent=_pose(table.body_from_agent, f"{where}: body_from_agent"),
+        noise=_noise(table.noise, path.parent, where),
+        tiles=table.budget,
+        bytes=table.bytes,
+        defines={key: str(value) for key, value in table.defines.items()},
     )
 
 
@@ -208,29 +224,8 @@ def _noise(value: Any, folder: Path, where: str) -> NoiseModel | None:
         raise NoiseError(f"{where}: {error}") from None
 
 
-def _pose(table: Mapping[str, Any], key: str, where: str) -> Array | None:
-    if key not in table:
-        return None
+def _pose(numbers: list[Any] | None, where: str) -> Array | None:
     try:
-        return se3.pose_from_numbers(table[key])
+        return None if numbers is None else se3.pose_from_numbers(numbers)
     except PoseError as error:
-        raise PoseError(f"{where}: {key}: {error}") from None
-
-
-def _check_signs(table: Mapping[str, Any], keys: Sequence[str], where: str) -> None:
-    for key in keys:
-        if table.get(key, 0) < 0:
-            raise ConfigError(f"{where}: {key} is negative: {table[key]}")
-
-
-def _check(table: Mapping[str, Any], schema: Mapping[str, Any], where: str) -> None:
-    """Refuse keys that the schema does not have, and values of other types."""
-    for key, value in table.items():
-        if key not in schema:
-            near = get_close_matches(key, schema, 1)
-            hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(schema)}"
-            raise ConfigError(f"{where} has an unknown key {key!r}; {hint}")
-        kinds = schema[key] if isinstance(schema[key], tuple) else (schema[key],)
-        if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
-            expected = " or ".join(_KINDS[kind] for kind in kinds if not (kind is int and float in kinds))
-            raise ConfigError(f"{where}: {key} must be {expected}, not {value!r}")
+        raise PoseError(f"{where}: {error}") from None

@@ -1,10 +1,7 @@
 """What is known of a pose before the image: by an IMU, a wheel, a survey; as information with its frame.
 
-A file, TOML or JSON, has a `frame`, "camera" or "world", and one of
-
-    information = [[...], ...]     6 x 6, of the twist ξ = (ρ, φ) in that frame; zeros where nothing is known
-    covariance = [[...], ...]      6 x 6, likewise, positive definite
-    position_std, rotation_std_deg a number or three of the frame's axes, `inf` (or left out) where unknown
+`PriorTable` says what stands in its TOML or JSON file: a frame and either information, or a covariance, or
+standard deviations.
 
 Standard deviations are of the camera's centre along the frame's axes [scene unit] and of its rotation about
 axes through that centre [deg]: with R the frame's from the camera's axes, of (R ρ, R φ) with ξ the camera
@@ -13,20 +10,37 @@ twist, which in the world frame is not the world twist (`se3`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field, PositiveFloat
 
 from .. import se3
 from ..errors import PriorError
-from ..files import read_json, read_toml
+from ..files import Table, checked, expected, read_json, read_toml
 from ..se3 import Array, Frame
 
-_KEYS = ("information", "covariance", "position_std", "rotation_std_deg")
+Matrix = Annotated[list[list[float]], expected("a 6 x 6 matrix of numbers")]
+Axes = Annotated[tuple[PositiveFloat, PositiveFloat, PositiveFloat], Field(strict=False)]
+Deviations = Annotated[PositiveFloat | Axes, expected("a positive number or three of them")]
+
+
+class PriorTable(Table):
+    """A prior's file."""
+
+    frame: Frame
+    """Whose axes."""
+    information: Matrix | None = None
+    """6 x 6, of the twist ξ = (ρ, φ) in that frame; zeros where nothing is known."""
+    covariance: Matrix | None = None
+    """6 x 6, likewise, positive definite."""
+    position_std: Deviations = np.inf
+    """Along the frame's axes [scene unit]; infinite where unknown."""
+    rotation_std_deg: Deviations = np.inf
+    """About the frame's axes [deg]; infinite where unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +77,7 @@ def load_prior(path: Path) -> PosePrior:
     """The prior in a TOML or JSON file.
 
     Raises:
-        PriorError: the file cannot be read, or says something else than the module's docstring allows.
+        PriorError: the file cannot be read, or says something else than `PriorTable` allows.
     """
     read = read_json if path.suffix.lower() == ".json" else read_toml
     document = read(path, PriorError)
@@ -79,41 +93,26 @@ def prior_from_dict(document: Any) -> PosePrior:
     Raises:
         PriorError: as `load_prior`.
     """
-    if not isinstance(document, Mapping):
-        raise PriorError("a prior is a table with the keys frame and one of " + ", ".join(_KEYS))
-    unknown = [key for key in document if key not in (*_KEYS, "frame")]
-    if unknown:
-        raise PriorError(f"unknown key {', '.join(unknown)}; keys: frame, {', '.join(_KEYS)}")
-    given = [key for key in _KEYS if key in document]
-    matrices = [key for key in given if key in ("information", "covariance")]
-    if "frame" not in document or not given or (matrices and len(given) > 1):
+    table = checked(PriorTable, document, PriorError, "a prior")
+    given = table.model_fields_set - {"frame"}
+    matrices = given & {"information", "covariance"}
+    if not given or (matrices and len(given) > 1):
         raise PriorError(
             "a prior needs a frame and either information, or covariance, or position_std and "
-            f"rotation_std_deg; got {', '.join(document) or 'nothing'}"
+            f"rotation_std_deg; got {', '.join(document)}"
         )
-    if not matrices:
-        deviations = [*_three(document, "position_std"), *np.radians(_three(document, "rotation_std_deg"))]
-        with np.errstate(over="ignore"):
-            information = np.diag(np.array(deviations) ** -2.0)
-        return PosePrior(information, document["frame"], "axes")
-    matrix: Array = _information(document[matrices[0]], matrices[0])
-    if matrices[0] == "covariance":
+    if table.information is not None:
+        return PosePrior(_information(table.information, "information"), table.frame)
+    if table.covariance is not None:
+        matrix = _information(table.covariance, "covariance")
         scale = np.sqrt(np.diagonal(matrix))
         if not (scale > 0.0).all() or np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] < 1e-12:
             raise PriorError("a covariance must be positive definite; give information where one is unknown")
-        return PosePrior(np.asarray(np.linalg.inv(matrix), dtype=np.float64), document["frame"])
-    return PosePrior(matrix, document["frame"])
-
-
-def _three(document: Mapping[str, Any], key: str) -> Array:
-    """Standard deviations along three axes, infinite where unknown."""
-    try:
-        values = np.broadcast_to(np.array(document.get(key, np.inf), dtype=np.float64), (3,))
-    except (TypeError, ValueError, OverflowError):
-        values = np.full(3, np.nan)
-    if not (values > 0.0).all():
-        raise PriorError(f"{key} must be a positive number or three of them, not {document[key]!r}")
-    return np.asarray(values)
+        return PosePrior(np.asarray(np.linalg.inv(matrix), dtype=np.float64), table.frame)
+    position, rotation = (np.broadcast_to(std, 3) for std in (table.position_std, table.rotation_std_deg))
+    with np.errstate(over="ignore"):
+        information = np.diag(np.concatenate([position, np.radians(rotation)]) ** -2.0)
+    return PosePrior(information, table.frame, "axes")
 
 
 def _information(value: Any, what: str) -> Array:

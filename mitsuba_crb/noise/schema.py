@@ -1,24 +1,6 @@
 """Noise models in TOML: a table `[noise]` with `model = NAME` and the model's parameters.
 
-    gaussian                sigma
-    per_channel             sigmas
-    per_pixel               variance*
-    colour_blocks           covariance*
-    heteroscedastic         coefficients          c0, c1, ...: variance = c0 + c1 mean + ...
-    poisson_gaussian        gain, read_noise
-    student_t               scale, nu
-    laplace                 scale
-    luminance               noise (a table), coefficients (optional)
-    sensor                  noise (a table), noise_at ("before" or "after" the curve), and optionally
-                            curve (a table), exposure, quantisation (a table: levels, black, white)
-    stationary              autocovariance* or power_spectrum*
-    periodic                autocovariance* or power_spectrum*
-    sparse_precision        precision (a .npz file of `scipy.sparse.save_npz`), shape
-    low_rank_plus_diagonal  variance*, modes*
-
-    curve = "linear" · "srgb" · "power" (gamma, toe, offset) · "tabulated" (x, y)
-
-Arrays (*) are nested lists, or the name of a `.npy` file beside the TOML file. For example:
+`MODELS` and `CURVES` list the names, and the keys that go with each. For example:
 
     [noise]
     model = "sensor"
@@ -33,35 +15,58 @@ Arrays (*) are nested lists, or the name of a `.npy` file beside the TOML file. 
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping
-from difflib import get_close_matches
+from numbers import Real
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar, Union
+
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, create_model
 
 from ..errors import NoiseError
-from ..files import read_array, read_sparse, read_toml
-from .colour import ColourBlocks, Luminance
-from .curves import SRGB, Curve, Linear, Power, Tabulated
+from ..files import Table, checked, expected, read_array, read_sparse, read_toml, refused
+from .colour import REC709, ColourBlocks, Luminance
+from .curves import SRGB, Linear, Power, Tabulated
 from .gaussian import Gaussian, PerChannel, PerPixel
 from .heavy_tails import Laplace, StudentT
 from .heteroscedastic import Heteroscedastic
 from .low_rank import LowRankPlusDiagonal
 from .poisson_gaussian import PoissonGaussian
 from .protocol import NoiseModel
-from .sensor import Quantisation, Sensor
+from .sensor import NoiseAt, Quantisation, Sensor
 from .sparse import SparsePrecision
 from .stationary import Periodic, Stationary
 
 T = TypeVar("T")
+Makers = dict[str, tuple[Callable[..., Any], dict[str, Any]]]
+"""By name: what makes an object, and its parameters with their types and, where one is optional, default."""
 
 
-def _stationary(autocovariance: Any = None, power_spectrum: Any = None) -> Stationary:
-    return _either(Stationary, Stationary.from_power_spectrum, autocovariance, power_spectrum)
+def _numbers(value: Any) -> Any:
+    """What is a text, or holds nothing but numbers; truth values are none."""
+    if not isinstance(value, str):
+        for entry in np.array(value, dtype=object).ravel():
+            if isinstance(entry, bool) or not isinstance(entry, Real):
+                raise ValueError
+    return value
 
 
-def _periodic(autocovariance: Any = None, power_spectrum: Any = None) -> Periodic:
-    return _either(Periodic.from_autocovariance, Periodic, autocovariance, power_spectrum)
+def _file_of(read: Callable[[Path, type[Exception]], Any]) -> AfterValidator:
+    """Puts a file's contents in the place of its name."""
+
+    def contents(value: Any, info: ValidationInfo) -> Any:
+        folder: Any = info.context
+        return _located(read, folder / value, NoiseError) if isinstance(value, str) else value
+
+    return AfterValidator(contents)
+
+
+def _located(make: Callable[..., T], *values: Any, **parameters: Any) -> T:
+    """What is made; a refusal is named with its place in the document."""
+    try:
+        return make(*values, **parameters)
+    except (NoiseError, ArithmeticError) as error:
+        raise refused(f": {error}") from error
 
 
 def _either(
@@ -72,29 +77,107 @@ def _either(
     return of_spectrum(spectrum) if covariance is None else of_covariance(covariance)
 
 
-_MODELS: dict[str, Callable[..., NoiseModel]] = {
-    "gaussian": Gaussian,
-    "per_channel": PerChannel,
-    "per_pixel": PerPixel,
-    "colour_blocks": ColourBlocks,
-    "heteroscedastic": Heteroscedastic,
-    "poisson_gaussian": PoissonGaussian,
-    "student_t": StudentT,
-    "laplace": Laplace,
-    "luminance": Luminance,
-    "sensor": Sensor,
-    "stationary": _stationary,
-    "periodic": _periodic,
-    "sparse_precision": SparsePrecision,
-    "low_rank_plus_diagonal": LowRankPlusDiagonal,
+def _stationary(autocovariance: Any = None, power_spectrum: Any = None) -> Stationary:
+    return _either(Stationary, Stationary.from_power_spectrum, autocovariance, power_spectrum)
+
+
+def _periodic(autocovariance: Any = None, power_spectrum: Any = None) -> Periodic:
+    return _either(Periodic.from_autocovariance, Periodic, autocovariance, power_spectrum)
+
+
+def _one_of(key: str, known: Makers) -> Any:
+    """The type of a table whose `key` names one of these, and whose other keys are its parameters."""
+
+    def named(table: Any) -> Any:
+        """A table without a name gets an unknown one, so that the message lists those that there are."""
+        return {key: None, **table} if isinstance(table, Mapping) else table
+
+    def made(table: Any) -> Any:
+        """Where a parameter is left out, the maker's own default holds."""
+        given = {name: getattr(table, name) for name in table.model_fields_set}
+        return _located(known[given.pop(key)][0], **given)
+
+    tables = tuple(
+        create_model(name, __base__=Table, __module__=__name__, **{key: Literal[name], **parameters})
+        for name, (_, parameters) in known.items()
+    )
+    return Annotated[
+        Union[tables],  # noqa: UP007
+        Field(discriminator=key),
+        BeforeValidator(named),
+        AfterValidator(made),
+    ]
+
+
+Array = Annotated[
+    Any,
+    AfterValidator(_numbers),
+    expected("nested lists of numbers or the name of a .npy file"),
+    _file_of(read_array),
+]
+"""Nested lists, or the name of a `.npy` file beside the TOML file."""
+Matrix = Annotated[Any, _file_of(read_sparse)]
+"""The name of a `.npz` file of `scipy.sparse.save_npz` beside the TOML file."""
+Shape = Annotated[tuple[int, int], Field(strict=False), expected("height and width in whole pixels")]
+Numbers = list[float]
+
+CURVES: Makers = {
+    "linear": (Linear, {}),
+    "srgb": (lambda: SRGB, {}),
+    "power": (
+        Power,
+        {"gamma": (float, Power.gamma), "toe": (float, Power.toe), "offset": (float, Power.offset)},
+    ),
+    "tabulated": (Tabulated, {"x": Numbers, "y": Numbers}),
 }
-_CURVES: dict[str, Callable[..., Curve]] = {
-    "linear": Linear,
-    "srgb": lambda: SRGB,
-    "power": Power,
-    "tabulated": Tabulated,
+"""Response curves, `curve = NAME`."""
+
+
+class QuantisationTable(Table):
+    """A table `quantisation`."""
+
+    levels: int = Quantisation.levels
+    black: float = Quantisation.black
+    white: float = Quantisation.white
+
+    def made(self) -> Quantisation:
+        """What it describes."""
+        return _located(Quantisation, **dict(self))
+
+
+MODELS: Makers = {
+    "gaussian": (Gaussian, {"sigma": float}),
+    "per_channel": (PerChannel, {"sigmas": Numbers}),
+    "per_pixel": (PerPixel, {"variance": Array}),
+    "colour_blocks": (ColourBlocks, {"covariance": Array}),
+    "heteroscedastic": (Heteroscedastic, {"coefficients": Numbers}),
+    "poisson_gaussian": (PoissonGaussian, {"gain": float, "read_noise": float}),
+    "student_t": (StudentT, {"scale": float, "nu": float}),
+    "laplace": (Laplace, {"scale": float}),
+    "luminance": (Luminance, {"noise": "Noise", "coefficients": (Numbers, REC709)}),
+    "sensor": (
+        Sensor,
+        {
+            "noise": "Noise",
+            "noise_at": NoiseAt,
+            "curve": (_one_of("curve", CURVES), Linear()),
+            "exposure": (float, Sensor.exposure),
+            "quantisation": (Annotated[QuantisationTable, AfterValidator(QuantisationTable.made)], None),
+        },
+    ),
+    "stationary": (_stationary, {"autocovariance": (Array, None), "power_spectrum": (Array, None)}),
+    "periodic": (_periodic, {"autocovariance": (Array, None), "power_spectrum": (Array, None)}),
+    "sparse_precision": (SparsePrecision, {"precision": Matrix, "shape": Shape}),
+    "low_rank_plus_diagonal": (LowRankPlusDiagonal, {"variance": Array, "modes": Array}),
 }
-_ARRAYS = ("variance", "covariance", "autocovariance", "power_spectrum", "modes")
+"""Noise models, `model = NAME`."""
+Noise = _one_of("model", MODELS)
+
+
+class NoiseFile(Table):
+    """A file with a noise model."""
+
+    noise: Noise  # type: ignore[valid-type]  # it is made at run time
 
 
 def load(path: str | Path) -> NoiseModel:
@@ -104,18 +187,12 @@ def load(path: str | Path) -> NoiseModel:
         NoiseError: the file cannot be read, or a name or value in it cannot be used.
     """
     file = Path(path)
-    document = read_toml(file, NoiseError)
-    _check_keys(document, ["noise"], f"{file}")
-    if not isinstance(document.get("noise"), dict):
-        raise NoiseError(f'{file} has no table [noise], with model = "gaussian" or another')
-    try:
-        return from_dict(document["noise"], folder=file.parent)
-    except NoiseError as error:
-        raise NoiseError(f"{file}: {error}") from error
+    document = {"noise": {}, **read_toml(file, NoiseError)}
+    return _model(document, file.parent, str(file))
 
 
 def from_dict(table: Mapping[str, Any], *, folder: str | Path = ".") -> NoiseModel:
-    """The noise model of a table, see the module's docstring.
+    """The noise model of a table `[noise]`.
 
     Args:
         table: `model` and its parameters.
@@ -124,66 +201,8 @@ def from_dict(table: Mapping[str, Any], *, folder: str | Path = ".") -> NoiseMod
     Raises:
         NoiseError: a name or value cannot be used; misspelt ones are named with their nearest.
     """
-    name, make, parameters = _chosen(table, "model", _MODELS, "a noise model")
-    place = Path(folder)
-    for key, value in parameters.items():
-        if key == "noise":
-            parameters[key] = from_dict(_table(value, key), folder=place)
-        elif key == "curve":
-            _, curve, of_curve = _chosen(_table(value, key), "curve", _CURVES, "a response curve")
-            parameters[key] = _made(curve, of_curve, "the curve")
-        elif key == "quantisation":
-            parameters[key] = _made(Quantisation, dict(_table(value, key)), "quantisation")
-        elif key in _ARRAYS and isinstance(value, str):
-            parameters[key] = read_array(place / value, NoiseError)
-        elif key == "precision" and isinstance(value, str):
-            parameters[key] = read_sparse(place / value, NoiseError)
-    return _made(make, parameters, f"the noise model {name!r}")
+    return _model({"noise": table}, Path(folder), "")
 
 
-def _chosen(
-    table: Mapping[str, Any], key: str, known: Mapping[str, Callable[..., T]], what: str
-) -> tuple[str, Callable[..., T], dict[str, Any]]:
-    """The name under `key`, what makes it, and the other entries, whose names are its parameters'."""
-    parameters = dict(table)
-    if key not in parameters:
-        near = [name for name in parameters if get_close_matches(name, [key])]
-        got = f", not {near[0]}" if near else ""
-        raise NoiseError(f"{what} needs {key}{got} = one of {', '.join(known)}")
-    name = parameters.pop(key)
-    if not isinstance(name, str) or name not in known:
-        raise NoiseError(
-            f"unknown {key} {name!r}{_near(str(name), list(known))}; there are {', '.join(known)}"
-        )
-    _check_keys(parameters, list(inspect.signature(known[name]).parameters), f"the {key} {name!r}")
-    return name, known[name], parameters
-
-
-def _made(make: Callable[..., T], parameters: dict[str, Any], what: str) -> T:
-    expected = inspect.signature(make).parameters
-    _check_keys(parameters, list(expected), what)
-    missing = [n for n, p in expected.items() if p.default is inspect.Parameter.empty and n not in parameters]
-    if missing:
-        raise NoiseError(f"{what} lacks {', '.join(missing)}")
-    try:
-        return make(**parameters)
-    except (ArithmeticError, TypeError, ValueError) as error:
-        raise NoiseError(f"{what} has a value of the wrong kind: {error}") from error
-
-
-def _table(value: Any, key: str) -> Mapping[str, Any]:
-    if not isinstance(value, Mapping):
-        raise NoiseError(f"{key} must be a table, not {value!r}")
-    return value
-
-
-def _check_keys(table: Mapping[str, Any], known: list[str], what: str) -> None:
-    for key in table:
-        if key not in known:
-            have = ", ".join(known) or "no parameters"
-            raise NoiseError(f"{what} has no {key!r}{_near(key, known)}; it has {have}")
-
-
-def _near(name: str, known: list[str]) -> str:
-    close = get_close_matches(name, known, n=1)
-    return f" (did you mean {close[0]!r}?)" if close else ""
+def _model(document: dict[str, Any], folder: Path, where: str) -> NoiseModel:
+    return checked(NoiseFile, document, NoiseError, where, context=folder).noise

@@ -55,6 +55,7 @@ class Quantisation:
             or not 2 <= self.levels <= 1 << 16
         ):
             raise NoiseError(f"levels must be a whole number between 2 and 65536, not {self.levels!r}")
+        object.__setattr__(self, "levels", int(self.levels))
         if not (np.isfinite([self.black, self.white]).all() and self.black < self.white):
             raise NoiseError(f"black must lie below white, not at {self.black!r} and {self.white!r}")
 

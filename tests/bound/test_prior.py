@@ -78,9 +78,23 @@ def test_files_say_the_same_as_matrices(tmp_path):
     ("text", "message"),
     [
         ("frame = 'camera'\n", "needs a frame and either"),
-        ("position_std = 1\n", "needs a frame and either"),
+        ("position_std = 1\n", "has no frame"),
         ("frame = 'body'\nposition_std = 1\n", "'camera' or 'world', not 'body'"),
-        ("frame = 'camera'\nsigma = 1\n", "unknown key sigma; keys: frame, information"),
+        ("frame = 'camera'\nsigma = 1\n", "unknown key 'sigma'; known are frame, information"),
+        ("frame = 'camera'\npositon_std = 1\n", "unknown key 'positon_std'; did you mean 'position_std'"),
+        ("frame = 1\nposition_std = 1\n", "frame must be 'camera' or 'world', not 1"),
+        (
+            "frame = 'camera'\nposition_std = true\n",
+            "position_std must be a positive number or",
+        ),
+        ("frame = 'camera'\nposition_std = nan\n", "position_std must be a positive number or"),
+        (
+            "frame = 'camera'\nposition_std = [1, true, 1]\n",
+            "position_std must be a positive number or",
+        ),
+        ("frame = 'camera'\nrotation_std_deg = '1'\n", "rotation_std_deg must be a positive number or three"),
+        ("frame = 'camera'\ncovariance = [[true]]\n", "covariance must be a 6 x 6 matrix of numbers, not"),
+        ("frame = 'camera'\ninformation = {}\n", "information\\]? must be a 6 x 6 matrix of numbers, not {}"),
         ("frame = 'camera'\nposition_std = -1\n", "position_std must be a positive number"),
         ("frame = 'camera'\nposition_std = 1e-300\n", "finite 6 x 6 matrix"),
         (f"frame = 'camera'\nposition_std = 1{400 * '0'}\n", "position_std must be a positive number"),
@@ -104,5 +118,5 @@ def test_matrices_that_are_no_information_are_named(tmp_path):
         PosePrior(np.triu(np.ones((6, 6))), "camera")
     with pytest.raises(PriorError, match="positive definite; give information"):
         prior_from_dict({"frame": "camera", "covariance": np.diag([1, 1, 1, 1, 1, 0]).tolist()})
-    with pytest.raises(PriorError, match="a table with the keys"):
+    with pytest.raises(PriorError, match=r"a prior must be a table, not \[1\]"):
         prior_from_dict([1])

@@ -362,11 +362,24 @@ BAD = [
     ("", "xyz = 3", ConfigError, "unknown key 'xyz'; known are name, scene"),
     ("[measure]\nspp = 1.5\n", "", ConfigError, "spp must be a whole number, not 1.5"),
     ("[measure]\nspp = true\n", "", ConfigError, "spp must be a whole number, not True"),
-    ("[body]\nname = 3\n", "", ConfigError, "name must be a text, not 3"),
-    ("agents = [1]\n", None, ConfigError, "agent 1 is 1; write every agent as a table"),
+    ("[body]\nname = 3\n", "", ConfigError, r"\[body\]: name must be a text, not 3"),
+    ("[measure]\nsize = [8]\n", "", ConfigError, r"size must be width and height in whole pixels, not \[8\]"),
+    ("[measure]\nsize = [8, true]\n", "", ConfigError, r"size must be width and .*, not \[8, True\]"),
+    ("[measure]\ndrop_invalid = 1\n", "", ConfigError, "drop_invalid must be true or false, not 1"),
+    ("[measure]\nmethod = {}\n", "", ConfigError, r"method\]? must be a text, not {}"),
+    ("[tiles]\nsize = 8.0\n", "", ConfigError, r"\[tiles\]: size must be a whole number of pixels, or two"),
+    ("[tiles]\nrank = true\n", "", ConfigError, r"\[tiles\]: rank must be a whole number, not True"),
+    ("[tiles]\nprecision = 16\n", "", ConfigError, "precision must be 'float16' or 'float32', not 16"),
+    ("[agents]\n", None, ConfigError, r"\[agents\] must be a list, not {}"),
+    ("", "budget = false", ConfigError, "agent 'racks': budget must be a whole number, not False"),
+    ("", "noise = true", ConfigError, "noise must be a number or a text or a table, not True"),
+    ("", "noise = { model = 'laplace', scale = true }", NoiseError, "scale must be a number, not True"),
+    ("", "defines = { width = [1] }", ConfigError, r"agent 'racks': \[defines\]: width must be a text or"),
+    ("", "defines = 1", ConfigError, "agent 'racks': defines must be a table, not 1"),
+    ("agents = [1]\n", None, ConfigError, "entry 1 of agents must be a table, not 1"),
     ("body = 1\n", "", ConfigError, "body must be a table, not 1"),
-    ("", "budget = -1", ConfigError, "agent 'racks': budget is negative: -1"),
-    ("[measure]\nseed = -1\n", "", ConfigError, "seed is negative: -1"),
+    ("", "budget = -1", ConfigError, "agent 'racks': budget must be at least 0, not -1"),
+    ("[measure]\nseed = -1\n", "", ConfigError, r"\[measure\]: seed must be at least 0, not -1"),
     ("", "noise = -0.1", NoiseError, "agent 'racks'.*positive"),
     ("", "noise = [1]", ConfigError, r"noise must be a number or a text or a table, not \[1\]"),
     ("", "noise = 'none.toml'", NoiseError, "agent 'racks': cannot read .*none.toml"),
@@ -449,7 +462,9 @@ class TestBadInput:
         path = written(tmp_path, "[tiles]\nsize = 0\n", agents=("racks",))
         assert "tile's size" in refused(capsys, "select", str(path), "--budget", "3")
         path = written(tmp_path, "[tiles]\nform = 'fulll'\n", agents=("racks",))
-        assert "unknown form 'fulll'" in refused(capsys, "select", str(path), "--budget", "3")
+        assert "form must be 'full', 'factor' or 'sketch', not 'fulll'" in refused(
+            capsys, "select", str(path), "--budget", "3"
+        )
 
     def test_every_error_is_the_library_s(self) -> None:
         assert issubclass(ConfigError, MitsubaCRBError)
