@@ -36,7 +36,6 @@ _EXPECTED = {
     "string_type": "a text",
     "bool_type": "true or false",
     "list_type": "a list",
-    "tuple_type": "a list",
     "dict_type": "a table",
     "model_type": "a table",
     "model_attributes_type": "a table",
@@ -135,7 +134,7 @@ class Table(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _known_keys(cls, table: Any) -> Any:
-        """Pydantic's own refusal does not know the keys that there are."""
+        """Pydantic's own refusal would not name the known keys."""
         if not isinstance(table, Mapping):
             return table
         for key in table:
@@ -161,16 +160,14 @@ def refused(reason: str) -> PydanticCustomError:
     return PydanticCustomError("refused", "{reason}", {"reason": reason})
 
 
-def checked(
-    schema: type[TableT], document: Any, fault: Fault, where: str = "", *, context: Any = None
-) -> TableT:
+def checked(schema: type[TableT], document: Any, fault: Fault, where: str, *, context: Any = None) -> TableT:
     """A document, if it is as its schema wants it; else `fault`, in one line that says where it is not.
 
     Args:
         schema: of the whole document.
         document: what `read_toml` or `read_json` returned.
         fault: the class of error to raise.
-        where: the file's name, or what else the message begins with.
+        where: what the message begins with: the file's name.
         context: for the schema's validators.
     """
     try:
@@ -185,7 +182,7 @@ def _line(error: ValidationError, document: Any, where: str) -> str:
     kind, steps, value = faults[0]["type"], faults[0]["loc"], faults[0]["input"]
     context = faults[0].get("ctx", {})
     parts = _place(document, steps)
-    place = ": ".join([where, *parts] if where else parts) or "this"
+    place = ": ".join([where, *parts] if where else parts)
     if kind == "refused":
         return f"{place}{context['reason']}"
     if kind == "missing":
@@ -216,7 +213,7 @@ def _place(document: Any, steps: Sequence[str | int]) -> list[str]:
             continue  # the name of one of several types
         name = step if str(step).isidentifier() else repr(step)
         if isinstance(step, int) and isinstance(document, Mapping):
-            parts[-1] = f"{parts[-1].removesuffix('s')} {document.get('name', step + 1)!r}"
+            parts[-1] = f"{parts[-1].removesuffix('s')} {reprlib.repr(document.get('name', step + 1))}"
         elif isinstance(step, int):
             parts[-1] = f"entry {step + 1} of {parts[-1]}"
         elif not isinstance(document, Mapping):

@@ -150,7 +150,7 @@ MODELS: Makers = {
     "per_channel": (PerChannel, {"sigmas": Numbers}),
     "per_pixel": (PerPixel, {"variance": Array}),
     "colour_blocks": (ColourBlocks, {"covariance": Array}),
-    "heteroscedastic": (Heteroscedastic, {"coefficients": Numbers}),
+    "heteroscedastic": (Heteroscedastic, {"coefficients": Numbers}),  # variance = c0 + c1 mean + ...
     "poisson_gaussian": (PoissonGaussian, {"gain": float, "read_noise": float}),
     "student_t": (StudentT, {"scale": float, "nu": float}),
     "laplace": (Laplace, {"scale": float}),

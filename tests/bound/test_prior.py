@@ -83,15 +83,9 @@ def test_files_say_the_same_as_matrices(tmp_path):
         ("frame = 'camera'\nsigma = 1\n", "unknown key 'sigma'; known are frame, information"),
         ("frame = 'camera'\npositon_std = 1\n", "unknown key 'positon_std'; did you mean 'position_std'"),
         ("frame = 1\nposition_std = 1\n", "frame must be 'camera' or 'world', not 1"),
-        (
-            "frame = 'camera'\nposition_std = true\n",
-            "position_std must be a positive number or",
-        ),
+        ("frame = 'camera'\nposition_std = true\n", "position_std must be a positive number or"),
         ("frame = 'camera'\nposition_std = nan\n", "position_std must be a positive number or"),
-        (
-            "frame = 'camera'\nposition_std = [1, true, 1]\n",
-            "position_std must be a positive number or",
-        ),
+        ("frame = 'camera'\nposition_std = [1, true, 1]\n", "position_std must be a positive number or"),
         ("frame = 'camera'\nrotation_std_deg = '1'\n", "rotation_std_deg must be a positive number or three"),
         ("frame = 'camera'\ncovariance = [[true]]\n", "covariance must be a 6 x 6 matrix of numbers, not"),
         ("frame = 'camera'\ninformation = {}\n", "information\\]? must be a 6 x 6 matrix of numbers, not {}"),

@@ -18,7 +18,7 @@ from small_scenes import scene as scene_of
 from mitsuba_crb import fisher_information, pose_bound, se3
 from mitsuba_crb.agents.fusion import Agent, fuse
 from mitsuba_crb.agents.selection import select_tiles
-from mitsuba_crb.agents.team import load_team
+from mitsuba_crb.agents.team import MeasureTable, load_team
 from mitsuba_crb.agents.tiles import Budget
 from mitsuba_crb.cli import app as cli
 from mitsuba_crb.errors import (
@@ -35,6 +35,7 @@ from mitsuba_crb.errors import (
 )
 from mitsuba_crb.information.image_jacobian import ImageJacobian, PixelSelection
 from mitsuba_crb.measure import teams as team_measure
+from mitsuba_crb.measure.options import MeasurementOptions
 from mitsuba_crb.measure.teams import fuse_team, select_team
 from mitsuba_crb.noise import Gaussian, Laplace
 from mitsuba_crb.render.pixels import render_pixels
@@ -331,6 +332,17 @@ class TestSelect:
         assert everything.curve[-1][0] == 8
 
 
+def test_every_key_of_the_measurement_is_an_option_s_with_its_type(tmp_path: Path) -> None:
+    given = {"size": (32, 24), "spp": 16, "seed": 2, "batches": 8, "method": "flow", "drop_invalid": True}
+    assert {*given, "integrator"} == set(MeasureTable.model_fields)
+    text = f"[measure]\n{''.join(f'{k} = {json.dumps(v)}{chr(10)}' for k, v in given.items())}"
+    team = load_team(written(tmp_path, f'{text}integrator = "path"\n'))
+    options = MeasurementOptions(**team.options(team.members[0]))
+    assert {**given, "integrator": "path", "seed": options.seed} == {
+        key: getattr(options, key) for key in MeasureTable.model_fields
+    }
+
+
 def test_noise_is_a_number_a_table_or_a_file(tmp_path: Path) -> None:
     (tmp_path / "sensor.toml").write_text("[noise]\nmodel = 'laplace'\nscale = 0.02\n", encoding="utf-8")
     for text, expected in (
@@ -462,9 +474,8 @@ class TestBadInput:
         path = written(tmp_path, "[tiles]\nsize = 0\n", agents=("racks",))
         assert "tile's size" in refused(capsys, "select", str(path), "--budget", "3")
         path = written(tmp_path, "[tiles]\nform = 'fulll'\n", agents=("racks",))
-        assert "form must be 'full', 'factor' or 'sketch', not 'fulll'" in refused(
-            capsys, "select", str(path), "--budget", "3"
-        )
+        message = refused(capsys, "select", str(path), "--budget", "3")
+        assert "[tiles]: form must be 'full', 'factor' or 'sketch', not 'fulll'" in message
 
     def test_every_error_is_the_library_s(self) -> None:
         assert issubclass(ConfigError, MitsubaCRBError)

@@ -50,12 +50,10 @@ def test_the_documented_example_is_a_whole_camera(tmp_path):
 def test_every_model_and_curve_can_be_written():
     from mitsuba_crb.noise import schema
 
-    made = {make for make, _ in (schema.MODELS | schema.CURVES).values()}
+    made = {make for make, _ in (schema.MODELS | schema.CURVES).values() if isinstance(make, type)}
     made |= {noise.Stationary, noise.Periodic}  # by functions, from either of two parameters
     kinds = {kind for kind in vars(noise).values() if isinstance(kind, type) and hasattr(kind, "to_dict")}
-    assert {kind for kind in kinds if not kind.__dict__.get("_is_protocol")} == made - {
-        make for make in made if not isinstance(make, type)
-    }
+    assert made == {kind for kind in kinds if not vars(kind).get("_is_protocol")}
 
 
 def test_whole_levels_are_read_from_what_was_written_of_a_float():
@@ -100,10 +98,7 @@ def test_arrays_that_are_none_of_real_numbers_are_named_with_their_files(tmp_pat
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        (
-            {"model": "gausian", "sigma": 1},
-            "[noise] has an unknown model 'gausian'; did you mean 'gaussian'?",
-        ),
+        ({"model": "gausian", "sigma": 1}, "an unknown model 'gausian'; did you mean 'gaussian'?"),
         ({"model": "gaussian", "sgima": 1}, "[noise] has an unknown key 'sgima'; did you mean 'sigma'?"),
         ({"model": "gaussian"}, "[noise] has no sigma"),
         ({"modle": "gaussian"}, "needs model, not modle = one of gaussian, per_channel"),
@@ -181,11 +176,7 @@ def test_mistakes_are_named_with_what_is_near(table, message):
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [
-        ("[noise", "is no TOML"),
-        ("[noize]", "did you mean 'noise'?"),
-        ("", "[noise] needs model = one of gaussian"),
-    ],
+    [("[noise", "is no TOML"), ("[noize]", "did you mean 'noise'?"), ("", "[noise] needs model = one of")],
 )
 def test_files_that_are_none_are_named(tmp_path, text, message):
     (tmp_path / "noise.toml").write_text(text)
