@@ -418,7 +418,7 @@ def fuse(
         from ..measure.teams import fuse_team
         from ..show.terminal import print_fusion, progress
 
-        with _collected(), progress() as advance:  # the bounds' provenance repeats them
+        with _collected(), progress() as advance:  # the result repeats them
             result = fuse_team(team, workers=workers, on_agent=advance)
         try:
             if json_file is not None:
@@ -465,7 +465,7 @@ def select(
 
         if plot_folder is not None:
             check_folder(plot_folder, "--plot")
-        with _collected(), progress() as advance:  # the selection repeats them
+        with _collected(), progress() as advance:  # the result repeats them
             result = select_team(team, limits, objective=objective, workers=workers, on_agent=advance)
         try:
             if json_file is not None:

@@ -96,6 +96,7 @@ def fusion_document(team: Team, result: TeamFusion) -> dict[str, Any]:
         "pose": result.fusion.information.pose,
         **{key: values[key] for key in _BOUND_KEYS},
         "agents": agents,
+        "warnings": result.warnings,
         "versions": result.bounds[0].provenance.get("versions", {}),
     }
     plain: dict[str, Any] = _plain(document)

@@ -56,6 +56,8 @@ class TeamFusion:
     """About the common body."""
     bounds: tuple[PoseBound, ...]
     """About each agent's own camera, in the team's order."""
+    warnings: tuple[str, ...]
+    """What happened on the way, the agent or the body named."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,13 +89,18 @@ def fuse_team(team: Team, *, workers: int | None = None, on_agent: Progress | No
     Raises:
         MitsubaCRBError: as `pose_bound` and `fuse`, the agent named.
     """
-    bounds, _ = _each(_bound, team, workers, on_agent)  # their provenance repeats the warnings
+    bounds, texts = _each(_bound, team, workers, on_agent)
     transforms = team.transforms([bound.information.pose for bound in bounds])
     agents = [
         Agent(member.name, bound.information, transform)
         for member, bound, transform in zip(team.members, bounds, transforms, strict=True)
     ]
-    return TeamFusion(fuse(agents, variable=team.body), tuple(bounds))
+    fusion = fuse(agents, variable=team.body)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        _ = fusion.bound  # which warns when it is first asked for, and is kept
+    joint = dict.fromkeys(f"{team.body}: {warning.message}" for warning in caught)
+    return TeamFusion(fusion, tuple(bounds), (*texts, *joint))
 
 
 def select_team(

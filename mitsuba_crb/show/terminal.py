@@ -258,8 +258,7 @@ def print_fusion(console: Console, team: Team, result: TeamFusion) -> None:
     rows += [("unseen", direction.description) for direction in bound.unobserved]
     rows.append(("length scale", f"{bound.length_scale:.4g} scene units (the largest of the agents')"))
     _facts(console, rows)
-    for share, bound in zip(result.fusion.agents, result.bounds, strict=True):
-        _notes(console, (f"{share.name}: {text}" for text in bound.provenance.get("warnings", ())))
+    _notes(console, result.warnings)
 
 
 def print_selection(console: Console, team: Team, result: TeamSelection) -> None:

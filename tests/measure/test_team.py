@@ -253,6 +253,22 @@ class TestProcesses:
         assert note == "mitsuba-crb: note: racks: it sees little"
         assert error == "mitsuba-crb: agent 'racks': it is broken"
 
+    def test_what_the_joint_bound_warns_of_is_said_with_what_its_agents_have(
+        self, tmp_path: Path, capsys: Any
+    ) -> None:
+        team = written(tmp_path, "[measure]\nsize = [12, 8]\nspp = 4\n")
+        found = fuse_team(load_team(team), workers=1)
+        named = {text.partition(":")[0] for text in found.warnings}
+        assert named == {"racks", "floor", "body"}
+        file = tmp_path / "fused.json"
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # none is left to Python
+            assert cli.run(["fuse", str(team), "--workers", "1", "--json", str(file)]) == 0
+        out, err = capsys.readouterr()
+        assert err == ""
+        assert all(out.count(f"note: {text}\n") == 1 for text in found.warnings)
+        assert json.loads(file.read_text(encoding="utf-8"))["warnings"] == list(found.warnings)
+
 
 def _warns_and_fails(job: Any) -> None:
     if job.member.name == "racks":
