@@ -295,7 +295,8 @@ def bound(
         from ..measure.pictures import Gathering
         from ..measure.pose import pose_bound
         from ..render.scene import load_scene
-        from ..show.terminal import print_bound, print_hcr, progress
+        from ..show.bound_table import print_bound, print_hcr
+        from ..show.terminal import progress
 
         weighted = None if isinstance(noise, CoupledNoise) else noise
         gathering = Gathering(weighted) if exr_file or plot_file else None
@@ -391,7 +392,8 @@ def check(
 
         from ..measure.check import CHECKED, check_jacobian
         from ..render.scene import load_scene
-        from ..show.terminal import print_check, progress
+        from ..show.check_table import print_check
+        from ..show.terminal import progress
 
         with _collected() as texts, progress():
             methods = tuple(method or CHECKED)
@@ -416,7 +418,8 @@ def fuse(
 
         from ..export.documents import fusion_document, write_json
         from ..measure.teams import fuse_team
-        from ..show.terminal import print_fusion, progress
+        from ..show.team_table import print_fusion
+        from ..show.terminal import progress
 
         with _collected(), progress() as advance:  # the result repeats them
             result = fuse_team(team, workers=workers, on_agent=advance)
@@ -461,7 +464,8 @@ def select(
         from ..export.documents import selection_document, write_json
         from ..export.targets import check_folder
         from ..measure.teams import select_team
-        from ..show.terminal import print_selection, progress
+        from ..show.team_table import print_selection
+        from ..show.terminal import progress
 
         if plot_folder is not None:
             check_folder(plot_folder, "--plot")
@@ -529,7 +533,8 @@ def validate(
 
         from ..estimate.trials import validate as run_trials
         from ..export.documents import write_json
-        from ..show.terminal import print_validation, progress
+        from ..show.terminal import progress
+        from ..show.trials_table import print_validation
 
         with _collected() as texts, progress() as advance:
             result = run_trials(
@@ -563,7 +568,7 @@ def doctor(debug: Debug = False) -> int:
     """Versions, LLVM, cores, and whether a 16x16 bound runs."""
     with foreseen(debug):
         from ..measure.diagnosis import diagnose
-        from ..show.terminal import print_diagnosis
+        from ..show.diagnosis_table import print_diagnosis
 
         diagnosis = diagnose()
         print_diagnosis(_console(), diagnosis)

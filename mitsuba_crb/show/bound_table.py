@@ -1,0 +1,170 @@
+"""A bound on the terminal: its standard deviations, what they rest on, and the bound beyond it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.text import Text
+
+from .terminal import new_table, number_with_error, print_facts, print_line, print_notes
+
+if TYPE_CHECKING:
+    from ..bound.cramer_rao import PoseBound
+    from ..bound.hcr import HCRBound
+
+_POSITION = ("position x, world", "position y, world", "position z, world")
+_ROTATION = ("pitch, about {} x", "yaw, about {} y", "roll, about {} z")
+
+
+def print_bound(console: Console, bound: PoseBound) -> None:
+    """The six standard deviations with errors and units, the rank, and what the numbers rest on."""
+    facts = bound.provenance
+    width, height = facts["size"]
+    print_line(console, Text(Path(str(facts["scene"])).name, style="bold"), f"  {width}×{height} pixels")
+    print_line(
+        console, "No unbiased estimator of this camera's pose has smaller standard deviations than these:"
+    )
+    print_deviations(console, bound)
+    if bound.if_known:
+        _costs(console, bound)
+    print_facts(console, _bound_facts(bound))
+    print_notes(console, facts.get("warnings", ()))
+
+
+def print_hcr(console: Console, bound: HCRBound) -> None:
+    """The bound over finite displacements beside the local one, and where the image repeats."""
+    print_line(
+        console,
+        f"Unbiased at {len(bound.displacements)} displaced poses, too (Hammersley, Chapman and Robbins):",
+    )
+    table = new_table()
+    for head in ("", "1σ bound", "/ local", "unit"):
+        table.add_column(head, justify="right" if head in ("1σ bound", "/ local") else "left")
+    local = bound.cramer_rao
+    groups = (
+        (_POSITION, bound.position_std, local.position_std, "scene unit"),
+        (_ROTATION, bound.rotation_std_deg, local.rotation_std_deg, "deg"),
+    )
+    for names, deviations, locals_, unit in groups:
+        for name, here, there in zip(names, deviations, locals_, strict=True):
+            ratio = f"{here / there:.3g}" if math.isfinite(here) else ""
+            table.add_row(name.format("camera"), number_with_error(float(here), math.nan)[0], ratio, unit)
+        table.add_section()
+    console.print(table)
+    repeated = [", ".join(f"{value:.6g}" for value in xi) for xi in bound.displacements[bound.repeats]]
+    rows = [("image repeats at", f"camera-frame twist ({twist})") for twist in repeated]
+    print_facts(console, rows or [("image repeats at", "none of them")])
+
+
+def print_deviations(console: Console, bound: PoseBound, owner: str = "camera") -> None:
+    """The six standard deviations; `owner` is whose axes the rotations are about."""
+    table = new_table()
+    table.add_column("")
+    table.add_column("1σ bound", justify="right")
+    table.add_column("± its error", justify="right")
+    table.add_column("unit")
+    groups = (
+        (_POSITION, bound.position_std, bound.position_std_standard_error, "scene unit"),
+        (_ROTATION, bound.rotation_std_deg, bound.rotation_std_deg_standard_error, "deg"),
+    )
+    for names, deviations, errors, unit in groups:
+        for name, deviation, error in zip(names, deviations, errors, strict=True):
+            table.add_row(name.format(owner), *number_with_error(float(deviation), float(error)), unit)
+        table.add_section()
+    console.print(table)
+
+
+def _costs(console: Console, bound: PoseBound) -> None:
+    """What each nuisance costs: the standard deviations over those if it were known."""
+    print_line(
+        console, "What not knowing a parameter costs: each 1σ over what it would be if that were known"
+    )
+    table = new_table()
+    table.add_column("not known")
+    for name in ("x", "y", "z", "pitch", "yaw", "roll"):
+        table.add_column(name, justify="right")
+    table.add_column("derivative by")
+    how = bound.provenance.get("nuisances", {})
+    values = [*bound.position_std, *bound.rotation_std_deg]
+    for name, known in bound.if_known.items():
+        without = [*known.position_std, *known.rotation_std_deg]
+        table.add_row(Text(name), *map(_factor, values, without), how.get(name, ""))
+    console.print(table)
+
+
+def _factor(value: float, known: float) -> str:
+    if math.isinf(value):
+        return "∞" if math.isinf(known) else "unseen"
+    return f"× {value / known:.2f}"
+
+
+def _bound_facts(bound: PoseBound) -> list[tuple[str, str]]:
+    facts = bound.provenance
+    rows = [("rank", f"{bound.rank} of 6")]
+    rows += [("unseen", direction.description) for direction in bound.unobserved]
+    if bound.weakest is not None:
+        rows.append(("weakest seen", bound.weakest.description))
+    scalars = bound.optimality
+    rows.append(
+        (
+            "optimality",
+            f"D: ln det F = {scalars.log_det:.4g}, A: tr F⁻¹ = {scalars.trace_inverse:.3g}, "
+            f"E: λ_min = {scalars.smallest_eigenvalue:.3g}, with translation in length scales",
+        )
+    )
+    rows.append(("length scale", _length_scale(bound.length_scale)))
+    rows.append(("noise", _noise(facts["noise"])))
+    if facts.get("prior"):
+        rows.append(("prior", f"{facts['prior']}, included"))
+    inflation = facts.get("noise_inflation")
+    if inflation is not None:
+        if math.isinf(inflation):
+            claim = "information where there is none"
+        elif inflation >= 1:
+            claim = f"{1 + inflation:.3g} times the information"
+        else:
+            claim = f"{100 * abs(inflation):.2g} % {'more' if inflation >= 0 else 'less'} information"
+        rows.append(("Monte Carlo noise", f"removed; plain JᵀWJ would have claimed {claim}"))
+    rows.append(("pixels", pixels_measured(facts["pixels"])))
+    rows.append(
+        (
+            "method",
+            f"{facts['method']}, {facts['spp']} paths per pixel in {facts['batches']} batches, "
+            f"seed {facts['seed']}",
+        )
+    )
+    rows.append(("time", _seconds(facts["seconds"])))
+    return rows
+
+
+def _length_scale(length: float) -> str:
+    if length == 1.0:
+        return "1 scene unit (nothing at a finite distance is visible, or its median depth is 1)"
+    return f"{length:.4g} scene units (median visible depth)"
+
+
+def _noise(noise: dict[str, Any]) -> str:
+    sigma, origin = noise.get("sigma"), noise.get("origin")
+    named = f"Gaussian, σ = {sigma:.4g}" if sigma is not None else str(noise.get("description", "given"))
+    return f"{named} ({origin})" if origin else named
+
+
+def pixels_measured(pixels: dict[str, Any]) -> str:
+    """Which pixels a provenance says were measured, and what they stand for."""
+    kind, selected, total = pixels["kind"], pixels["selected"], pixels["total"]
+    if kind == "all":
+        return f"all {total}"
+    meaning = (
+        "an estimate of the whole image's information"
+        if kind == "random"
+        else "for an estimator that sees only these"
+    )
+    return f"{selected} of {total} ({pixels['description']}): {meaning}"
+
+
+def _seconds(seconds: dict[str, float]) -> str:
+    parts = ", ".join(f"{name} {value:.2g}" for name, value in seconds.items() if name != "total")
+    return f"{seconds['total']:.1f} s" + (f" ({parts})" if parts else "")
