@@ -31,7 +31,8 @@ from scipy import stats
 
 from mitsuba_crb import se3
 from mitsuba_crb.errors import OutOfViewError
-from mitsuba_crb.estimate.align import Alignment, Anchor, align
+from mitsuba_crb.estimate.align import Alignment, align
+from mitsuba_crb.estimate.misfit import Anchor
 from mitsuba_crb.measure.measurement import measurement
 from mitsuba_crb.noise import Gaussian
 from mitsuba_crb.processes import in_processes

@@ -1,11 +1,10 @@
 """Monte Carlo trials: does an estimator attain the bound on this scene, and is its covariance what F⁻¹ says?
 
 Each trial adds noise to the expected image, perturbs the pose, aligns (`align`) and keeps the error
-ξ = log(truth⁻¹ estimate). Expected image, Jacobian and bound are measured once at the truth. The expected
-image is *defined* as that render: tied to it (`align.Anchor`), the estimator's own render of the true pose is
-exact, and away from it unbiased, so that the renderer's noise adds no bias and only the variance that
-`excess` states. A trial's random numbers follow from the seed and its number: neither the number of processes
-nor an interruption changes a result.
+ξ = log(truth⁻¹ estimate), see `trial`. Expected image, Jacobian and bound are measured once at the truth. The
+expected image is *defined* as that render: tied to it (`misfit.Anchor`), the estimator's own render of the
+true pose is exact, and away from it unbiased, so that the renderer's noise adds no bias and only the variance
+that `excess` states.
 
 A trial has failed if its search did not end, or ended where the image does not fit; failures are counted
 apart.
@@ -14,13 +13,10 @@ apart.
 from __future__ import annotations
 
 import dataclasses
-import functools
-import json
-import os
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, Unpack, get_args
+from typing import Any, Unpack
 
 import numpy as np
 from scipy import stats
@@ -28,8 +24,7 @@ from scipy import stats
 from .. import se3
 from ..bound.consistency import Consistency, consistency
 from ..bound.cramer_rao import PoseBound, cramer_rao_bound
-from ..errors import OutOfViewError, PrecisionWarning, TrialError
-from ..files import atomic, read_json
+from ..errors import PrecisionWarning, TrialError
 from ..information.accumulate import fisher_information
 from ..information.image_jacobian import ImageJacobian
 from ..information.subset import selected
@@ -43,9 +38,9 @@ from ..render.fingerprint import fingerprint, mask_fingerprint
 from ..render.lending import in_turn
 from ..render.scene import as_scene, load_scene
 from ..se3 import Array
-from .align import Anchor, Status, align
-
-SCHEMA = "mitsuba-crb/validate/1"
+from .misfit import Anchor
+from .trial import Setup, Trial, run_trials
+from .trial_record import SCHEMA, recorded, resumed, write_record
 
 _MEASURED = ("sensor", "method", "seed", "batches", "size", "drop_invalid", "step_pixels", "versions")
 """What of the settings the expected image's provenance says."""
@@ -57,26 +52,6 @@ _EXPECTED = 0x45585045
 
 Progress = Callable[[int, int], None]
 """Called after each trial with the trials done and all of them."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Trial:
-    """How one trial ended."""
-
-    index: int
-    """Its number."""
-    status: Status
-    """Of the search."""
-    error: tuple[float, ...]
-    """(6,), log(truth⁻¹ estimate), camera frame [scene unit, rad]."""
-    residual: float
-    """Root mean square of the whitened residual."""
-    iterations: int
-    """Of the search."""
-    excess: float
-    """Relative excess of its covariance over the bound from the renderer's noise."""
-    invalid: int
-    """Pixels, of those that the bound counts, that it left out (`drop_invalid`)."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -142,19 +117,6 @@ class Validation:
         }
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Setup:
-    """What all trials share."""
-
-    scene: Any
-    """A path, with `defines`, where processes load it, or what `align` takes."""
-    defines: dict[str, str]
-    anchor: Anchor
-    sigma: float
-    settings: dict[str, Any]
-    options: MeasurementKeywords
-
-
 def validate(
     scene: Any,
     *,
@@ -200,7 +162,7 @@ def validate(
         raise TrialError(f"at least 7 trials are needed for a covariance of six numbers; got {trials}")
     if perturb_deg < 0.0 or perturb_trans < 0.0:
         raise TrialError("perturb_deg and perturb_trans must not be negative")
-    record = _recorded(resume)
+    record = recorded(resume)
     options = {**VALIDATING, **options}
     named = dict(defines or {})
     loaded = load_scene(scene, **named) if isinstance(scene, str | Path) else scene
@@ -222,19 +184,19 @@ def validate(
         "integrator": names["integrator"],
         "pose": [[round(value, 9) for value in row] for row in anchor.pose.tolist()],
     }
-    done = _resumed(record, settings)
-    shared = _Setup(
+    done = resumed(record, settings)
+    shared = Setup(
         scene if isinstance(scene, str | Path) else loaded, named, anchor, chosen, settings, options
     )
     missing = [index for index in range(trials) if index not in done]
     chunks = [(shared, missing[k : k + _CHUNK]) for k in range(0, len(missing), _CHUNK)]
     if workers == 1:
         chunks = [(dataclasses.replace(shared, scene=loaded), indices) for _, indices in chunks]
-    for _, results in in_processes(_run, chunks, workers, prepare=same_variant()):
+    for _, results in in_processes(run_trials, chunks, workers, prepare=same_variant()):
         done |= {trial.index: trial for trial in results}
         if resume is not None:
-            done = _resumed(_recorded(resume), settings) | done  # another run may have written meanwhile
-            _write(resume, {"schema": SCHEMA, "settings": settings, "results": _plain(done)})
+            done = resumed(recorded(resume), settings) | done  # another run may have written meanwhile
+            write_record(resume, settings, done)
         if on_trial is not None:
             on_trial(sum(index < trials for index in done), trials)
     ordered = [done[index] for index in sorted(done)]
@@ -267,74 +229,6 @@ def _expected(
             jacobian = jacobian.only(valid, f"{run.selection.description}, where the radiance is finite")
         names = {"scene": run.view.label, "integrator": run.view.provenance()["integrator"]}
         return Anchor(run.view.pose, image, jacobian), jacobian, model.sigma, names
-
-
-def _run(work: tuple[_Setup, list[int]]) -> list[Trial]:
-    setup, indices = work
-    scene = setup.scene
-    if isinstance(scene, str | Path):
-        scene = _loaded(str(scene), *setup.defines.items())
-    return [_trial(setup, scene, index) for index in indices]
-
-
-@functools.lru_cache(maxsize=1)
-def _loaded(scene: str, *defines: tuple[str, str]) -> Any:
-    """A process loads its scene once: the first render of a loaded scene costs as much as a trial."""
-    return load_scene(scene, **dict(defines))
-
-
-def _trial(setup: _Setup, scene: Any, index: int) -> Trial:
-    settings, truth = setup.settings, setup.anchor.pose
-    rng = np.random.default_rng([settings["seed"], index])
-    image = setup.anchor.batches[0]
-    measured = image + setup.sigma * rng.standard_normal(image.shape)
-    start = truth @ se3.exp(
-        np.concatenate(
-            [
-                settings["perturb_trans"] * _in_ball(rng),
-                np.radians(settings["perturb_deg"]) * _in_ball(rng),
-            ]
-        )
-    )
-    options: MeasurementKeywords = {
-        **setup.options,
-        "pose": start,
-        "seed": int(rng.integers(1 << 62)),
-        "pixels": np.isfinite(image).all(axis=2),
-    }
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            found = align(
-                scene,
-                measured,
-                Gaussian(setup.sigma),
-                estimator=settings["estimator"],
-                levels=settings["levels"],
-                iterations=settings["iterations"],
-                anchor=setup.anchor,
-                **options,
-            )
-    except OutOfViewError:
-        # The start was drawn behind a wall, say. Its residual is that of a black image.
-        error = se3.log(se3.inverse(truth) @ start)
-        residual = float(np.sqrt(np.nanmean((measured / setup.sigma) ** 2)))
-        return Trial(index, "diverged", tuple(error.tolist()), residual, 0, 0.0, 0)
-    error = se3.log(se3.inverse(truth) @ found.pose)
-    return Trial(
-        index=index,
-        status=found.status,
-        error=tuple(error.tolist()),
-        residual=found.residual,
-        iterations=found.iterations,
-        excess=found.excess,
-        invalid=found.invalid,
-    )
-
-
-def _in_ball(rng: np.random.Generator) -> Array:
-    direction = rng.standard_normal(3)
-    return np.asarray(direction / np.linalg.norm(direction) * rng.uniform() ** (1.0 / 3.0))
 
 
 def _judge(
@@ -374,69 +268,3 @@ def _judge(
         bound_rotation_deg=float(np.sqrt(np.trace(bound.rotation_covariance_deg2))),
         excess=float(np.mean([t.excess for t in good])),
     )
-
-
-def _plain(done: Mapping[int, Trial]) -> list[dict[str, Any]]:
-    return [dataclasses.asdict(done[index]) for index in sorted(done)]
-
-
-class _Record(NamedTuple):
-    """An earlier run."""
-
-    file: Path
-    settings: dict[str, Any]
-    trials: list[Trial]
-
-
-def _recorded(file: Path | None) -> _Record | None:
-    """What an earlier run has left; None if there was none."""
-    if file is None or not os.path.lexists(file):
-        return None
-    try:
-        document = read_json(file, ValueError)
-        schema, settings, results = (document[key] for key in ("schema", "settings", "results"))
-        if schema == SCHEMA:
-            return _Record(file, dict(settings), [_read_trial(**result) for result in results])
-    except (ArithmeticError, KeyError, TypeError, ValueError) as error:
-        raise TrialError(f"{file} exists and is no record of trials ({error}); name another file") from error
-    raise TrialError(f"{file} has the schema {schema!r}, not {SCHEMA!r}; name another file")
-
-
-def _read_trial(
-    index: Any, status: Any, error: Any, residual: Any, iterations: Any, excess: Any, invalid: Any
-) -> Trial:
-    if status not in get_args(Status) or len(error) != 6:
-        raise ValueError(f"trial {index} has the status {status!r} and the error {error}")
-    twist = tuple(float(value) for value in error)
-    return Trial(int(index), status, twist, float(residual), int(iterations), float(excess), int(invalid))
-
-
-def _resumed(record: _Record | None, settings: dict[str, Any]) -> dict[int, Trial]:
-    """The trials of an earlier run with the same settings, all of them."""
-    if record is None:
-        return {}
-    file, before, found = record
-    changed = _changes(before, json.loads(json.dumps(settings)))
-    if changed:
-        raise TrialError(
-            f"{file} holds trials with {', '.join(changed)}; name another file, or use the same settings to "
-            "resume"
-        )
-    return {trial.index: trial for trial in found}
-
-
-def _changes(before: dict[str, Any], now: dict[str, Any], of: str = "") -> list[str]:
-    """What differs between two tables of settings, in words."""
-    found = []
-    for name in dict.fromkeys((*now, *before)):
-        old, new = before.get(name), now.get(name)
-        if isinstance(old, dict) and isinstance(new, dict):
-            found += _changes(old, new, f"{of}{name}.")
-        elif old != new:
-            found.append(f"{of}{name} = {old!r}, not {new!r}")
-    return found
-
-
-def _write(file: Path, document: dict[str, Any]) -> None:
-    with atomic(file) as temporary:
-        temporary.write_text(json.dumps(document), encoding="utf-8")

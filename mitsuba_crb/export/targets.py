@@ -46,7 +46,7 @@ def check_target(path: Path, option: str, inputs: Sequence[Path] = (), *, resume
 
 
 def _holds_trials(path: Path) -> bool:
-    from ..estimate.trials import SCHEMA as TRIALS  # late: it imports what measures
+    from ..estimate.trial_record import SCHEMA as TRIALS  # late: it imports what measures
 
     with path.open("rb") as file:
         return TRIALS.encode() in file.read(100)

@@ -23,6 +23,8 @@ from mitsuba_crb import pose_bound, pose_jacobian
 from mitsuba_crb.cli import app as cli
 from mitsuba_crb.errors import BlindSpotWarning, PoseError, SceneError
 from mitsuba_crb.estimate import trials
+from mitsuba_crb.estimate.trial import Trial
+from mitsuba_crb.estimate.trial_record import SCHEMA
 from mitsuba_crb.measure import measurement as measure
 from mitsuba_crb.noise import Gaussian
 from mitsuba_crb.render.view import open_view
@@ -126,9 +128,9 @@ GOOD: dict[str, bytes] = {
     "team.toml": b'[[agents]]\nname = "a"\nscene = "scene.xml"\nnoise = "noise.toml"\n[tiles]\nsize = 8\n',
     "trials.json": json.dumps(
         {
-            "schema": trials.SCHEMA,
+            "schema": SCHEMA,
             "settings": {},
-            "results": [dataclasses.asdict(trials.Trial(0, "converged", (0.0,) * 6, 1.0, 3, 0.0, 0))],
+            "results": [dataclasses.asdict(Trial(0, "converged", (0.0,) * 6, 1.0, 3, 0.0, 0))],
         }
     ).encode(),
     "map.toml": b'[noise]\nmodel = "per_pixel"\nvariance = "map.npy"\n',

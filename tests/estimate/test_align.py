@@ -13,7 +13,8 @@ from small_scenes import scene, textured_wall, torn_wall, wall
 
 from mitsuba_crb import pose_bound, pose_jacobian, se3
 from mitsuba_crb.errors import AlignmentError, NoiseError, RadianceError
-from mitsuba_crb.estimate.align import Alignment, Anchor, align
+from mitsuba_crb.estimate.align import Alignment, align
+from mitsuba_crb.estimate.misfit import Anchor
 from mitsuba_crb.estimate.trials import validate
 from mitsuba_crb.information.image_jacobian import PixelSelection
 from mitsuba_crb.information.subset import selected

@@ -16,9 +16,10 @@ from small_scenes import camera, textured_wall, torn_wall
 
 from mitsuba_crb.bound.consistency import Consistency, consistency
 from mitsuba_crb.errors import BlindSpotWarning, OptionError, OutOfViewError, RadianceError, TrialError
-from mitsuba_crb.estimate import trials
+from mitsuba_crb.estimate import trial, trials
 from mitsuba_crb.estimate.align import align
-from mitsuba_crb.estimate.trials import SCHEMA, validate
+from mitsuba_crb.estimate.trial_record import SCHEMA
+from mitsuba_crb.estimate.trials import validate
 from mitsuba_crb.measure import measurement as measure
 
 OPTIONS: dict[str, Any] = {"size": (16, 12), "spp": 32, "sigma": 0.005, "perturb_deg": 0.2, "seed": 5}
@@ -71,7 +72,7 @@ def test_what_the_method_cannot_see_is_said_once_even_if_a_trial_fails(
     def fail(*_: Any, **__: Any) -> None:
         raise OptionError("it failed")
 
-    monkeypatch.setattr(trials, "align", fail)
+    monkeypatch.setattr(trial, "align", fail)
     cut = textured_wall(sensor=camera(16, 12) | {"near_clip": 3.0})
     with pytest.warns(BlindSpotWarning, match="near plane") as caught, pytest.raises(OptionError):
         validate(cut, trials=8, **OPTIONS)
@@ -280,7 +281,7 @@ def test_a_start_that_sees_nothing_is_a_failed_trial(monkeypatch: pytest.MonkeyP
             raise OutOfViewError("nothing to be seen")
         return align(*args, **options)
 
-    monkeypatch.setattr(trials, "align", behind_the_wall)
+    monkeypatch.setattr(trial, "align", behind_the_wall)
     found = validate(textured_wall(), trials=8, levels=1, **(OPTIONS | {"size": (32, 24), "spp": 16}))
     assert seen == [1] * 8
     assert found.failed == (2,)

@@ -1,0 +1,96 @@
+"""The file that trials are kept in as they end, so that a run that was interrupted can be resumed.
+
+Trials are resumed only under the settings that they were run with: whatever a result depends on.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, get_args
+
+from ..errors import TrialError
+from ..files import atomic, read_json
+from .optimisers import Status
+from .trial import Trial
+
+SCHEMA = "mitsuba-crb/validate/1"
+
+
+class Record(NamedTuple):
+    """An earlier run."""
+
+    file: Path
+    """Where it is kept."""
+    settings: dict[str, Any]
+    """What its trials depend on."""
+    trials: list[Trial]
+    """As they ended."""
+
+
+def recorded(file: Path | None) -> Record | None:
+    """What an earlier run has left; None if there was none.
+
+    Raises:
+        TrialError: the file is there, and is no record of trials.
+    """
+    if file is None or not os.path.lexists(file):
+        return None
+    try:
+        document = read_json(file, ValueError)
+        schema, settings, results = (document[key] for key in ("schema", "settings", "results"))
+        if schema == SCHEMA:
+            return Record(file, dict(settings), [_read_trial(**result) for result in results])
+    except (ArithmeticError, KeyError, TypeError, ValueError) as error:
+        raise TrialError(f"{file} exists and is no record of trials ({error}); name another file") from error
+    raise TrialError(f"{file} has the schema {schema!r}, not {SCHEMA!r}; name another file")
+
+
+def _read_trial(
+    index: Any, status: Any, error: Any, residual: Any, iterations: Any, excess: Any, invalid: Any
+) -> Trial:
+    if status not in get_args(Status) or len(error) != 6:
+        raise ValueError(f"trial {index} has the status {status!r} and the error {error}")
+    twist = tuple(float(value) for value in error)
+    return Trial(int(index), status, twist, float(residual), int(iterations), float(excess), int(invalid))
+
+
+def resumed(record: Record | None, settings: dict[str, Any]) -> dict[int, Trial]:
+    """The trials of an earlier run with the same settings by their numbers, all of them.
+
+    Raises:
+        TrialError: its settings were others; names them.
+    """
+    if record is None:
+        return {}
+    file, before, found = record
+    changed = _changes(before, json.loads(json.dumps(settings)))
+    if changed:
+        raise TrialError(
+            f"{file} holds trials with {', '.join(changed)}; name another file, or use the same settings to "
+            "resume"
+        )
+    return {trial.index: trial for trial in found}
+
+
+def _changes(before: dict[str, Any], now: dict[str, Any], of: str = "") -> list[str]:
+    """What differs between two tables of settings, in words."""
+    found = []
+    for name in dict.fromkeys((*now, *before)):
+        old, new = before.get(name), now.get(name)
+        if isinstance(old, dict) and isinstance(new, dict):
+            found += _changes(old, new, f"{of}{name}.")
+        elif old != new:
+            found.append(f"{of}{name} = {old!r}, not {new!r}")
+    return found
+
+
+def write_record(file: Path, settings: Mapping[str, Any], trials: Mapping[int, Trial]) -> None:
+    """Write trials by their numbers, in place of what the file held."""
+    results = [dataclasses.asdict(trials[index]) for index in sorted(trials)]
+    document = {"schema": SCHEMA, "settings": settings, "results": results}
+    with atomic(file) as temporary:
+        temporary.write_text(json.dumps(document), encoding="utf-8")
