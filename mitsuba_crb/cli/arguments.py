@@ -1,17 +1,20 @@
-"""The command's texts made into values: pose, size, defaults; each mistake named in one line."""
+"""The command's texts made into values: pose, size, defaults, noise; each mistake named in one line."""
 
 from __future__ import annotations
 
 import os
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ..errors import OptionError, PoseError
 from ..files import read_array, read_json, read_rows, read_text
+
+if TYPE_CHECKING:
+    from ..noise import NoiseModel
 
 
 def parse_size(text: str | None) -> tuple[int, int] | None:
@@ -66,18 +69,69 @@ def parse_pose(text: str | None) -> npt.NDArray[np.float64] | None:
         raise PoseError(f"--pose {file}: {error}") from error
 
 
-def parse_displacements(file: Path | None) -> npt.NDArray[np.float64] | None:
-    """Camera-frame twists (m, 6) from a text file with six numbers a row; `#` starts a comment.
+def parse_noise(sigma: float | None, file: Path | None) -> NoiseModel | None:
+    """The noise that `--sigma` or `--noise` says, None if neither does.
 
     Raises:
-        OptionError: the file is missing, or has something else in it.
+        OptionError: both do.
+        NoiseError: an impossible noise.
+    """
+    from .. import noise
+
+    if sigma is not None and file is not None:
+        raise OptionError("--sigma and --noise both say what the noise is; give one of them")
+    if file is not None:
+        return noise.load(file)
+    return None if sigma is None else noise.Gaussian(sigma)
+
+
+def parse_displacements(file: Path | None, *, hcr: bool) -> npt.NDArray[np.float64] | None:
+    """Camera-frame twists (m, 6) from a text file with six numbers a row; `#` starts a comment.
+
+    Args:
+        file: the file.
+        hcr: whether there is a bound for them.
+
+    Raises:
+        OptionError: there is none, or the file is missing, or has something else in it.
     """
     if file is None:
         return None
+    if not hcr:
+        raise OptionError("--displacements belongs to --hcr; give both")
     rows = read_rows(file, OptionError)
     if rows.shape[1] != 6 or len(rows) == 0:
         raise OptionError(f"--displacements {file}: expected rows of six numbers, got shape {rows.shape}")
     return rows
+
+
+def view_options(
+    *,
+    sensor: str,
+    pose: str | None,
+    size: str | None,
+    pixels: str | None,
+    drop_invalid: bool,
+    spp: int,
+    seed: int,
+    batches: int,
+) -> dict[str, Any]:
+    """What every command that measures a view is told of it, as the library's keywords."""
+    return {
+        "sensor": sensor,
+        "pose": parse_pose(pose),
+        "size": parse_size(size),
+        "pixels": pixels,
+        "drop_invalid": drop_invalid,
+        "spp": spp,
+        "seed": seed,
+        "batches": batches,
+    }
+
+
+def view_files(scene: Path, pose: str | None, pixels: str | None) -> list[Path]:
+    """The files that the view is read from, which no output may overwrite."""
+    return [scene, *filter(None, [pose_file(pose)]), *([Path(pixels)] if pixels else [])]
 
 
 def _read(file: Path) -> Any:

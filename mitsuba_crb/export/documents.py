@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ..agents.selection import TileSelection
     from ..agents.team import Team
     from ..bound.cramer_rao import PoseBound
+    from ..bound.hcr import HCRBound
     from ..measure.teams import TeamFusion, TeamSelection
 
 SCHEMA = "mitsuba-crb/bound/1"
@@ -64,8 +65,8 @@ _BOUND_KEYS = (
 )
 
 
-def bound_document(bound: PoseBound) -> dict[str, Any]:
-    """The bound and its provenance as strict JSON: infinities are "inf", not-a-number is None."""
+def bound_document(bound: PoseBound, hcr: HCRBound | None = None) -> dict[str, Any]:
+    """The bound, its provenance and the one beyond it as strict JSON: infinity is "inf", no number None."""
     values, provenance = bound.to_dict(), bound.provenance
     document = {
         "schema": SCHEMA,
@@ -78,6 +79,8 @@ def bound_document(bound: PoseBound) -> dict[str, Any]:
         "versions": provenance.get("versions", {}),
         "seconds": provenance.get("seconds", {}),
     }
+    if hcr is not None:
+        document["hcr"] = hcr.to_dict()
     plain: dict[str, Any] = _plain(document)
     return plain
 

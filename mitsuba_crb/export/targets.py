@@ -3,11 +3,31 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ..errors import OutputError
 from ..files import temporary_path
+
+
+def check_targets(
+    targets: Mapping[str, Path | None], inputs: Sequence[Path] = (), *, resumed: str = ""
+) -> None:
+    """Raise `OutputError` unless every file can be written and no two are one.
+
+    Args:
+        targets: the files by the names of their options; None is not asked for.
+        inputs: as for `check_target`.
+        resumed: the option whose file may hold trials, which are kept.
+    """
+    taken: dict[str, str] = {}
+    for option, path in targets.items():
+        if path is None:
+            continue
+        check_target(path, option, inputs, resumes=option == resumed)
+        other = taken.setdefault(os.path.realpath(path), option)
+        if other != option:
+            raise OutputError(f"{option} and {other} both name {path}; give each a file of its own")
 
 
 def check_target(path: Path, option: str, inputs: Sequence[Path] = (), *, resumes: bool = False) -> None:

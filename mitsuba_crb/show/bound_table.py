@@ -14,9 +14,17 @@ from .terminal import new_table, number_with_error, print_facts, print_line, pri
 if TYPE_CHECKING:
     from ..bound.cramer_rao import PoseBound
     from ..bound.hcr import HCRBound
+    from ..measure.report import BoundReport
 
 _POSITION = ("position x, world", "position y, world", "position z, world")
 _ROTATION = ("pitch, about {} x", "yaw, about {} y", "roll, about {} z")
+
+
+def print_report(console: Console, report: BoundReport) -> None:
+    """The bound, and the one over finite displacements if there is one."""
+    print_bound(console, report.bound)
+    if report.hcr is not None:
+        print_hcr(console, report.hcr)
 
 
 def print_bound(console: Console, bound: PoseBound) -> None:

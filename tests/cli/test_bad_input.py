@@ -156,6 +156,7 @@ READERS = [
     ("prior.toml", "bound scene.xml --prior prior.toml"),
     ("prior.json", "bound scene.xml --prior prior.json"),
     ("mask.png", "bound scene.xml --pixels mask.png"),
+    ("mask.png", "check scene.xml --pixels mask.png"),
     ("team.toml", "fuse team.toml --workers 1"),
     ("team.toml", "select team.toml --budget 1 --workers 1"),
     ("trials.json", "validate scene.xml --json trials.json"),

@@ -15,15 +15,16 @@ import pytest
 import synthetic_view
 from typer.main import get_command
 
-from mitsuba_crb import se3
+from mitsuba_crb import pose_bound, se3
 from mitsuba_crb.cli import app as cli
 from mitsuba_crb.cli.arguments import parse_defines, parse_pose, parse_size
+from mitsuba_crb.cli.outcome import complain
 from mitsuba_crb.errors import OptionError, PoseError, PrecisionWarning, SceneError
-from mitsuba_crb.estimate import trials  # noqa: F401  before a test lends it another load_scene
+from mitsuba_crb.estimate import trials
 from mitsuba_crb.jacobian.finite_difference import STEP_PIXELS
 from mitsuba_crb.measure import check as validation
 from mitsuba_crb.measure import options as measuring
-from mitsuba_crb.measure import pose as measure
+from mitsuba_crb.measure import report
 from mitsuba_crb.measure.tile_jacobian import TileJacobian
 from mitsuba_crb.render import scene
 
@@ -49,8 +50,8 @@ def rendered(monkeypatch):
             on_tile(tile, count * len(half), len(view.pixels))
         return synthetic_view.bound(view)
 
-    monkeypatch.setattr(scene, "load_scene", load_scene)
-    monkeypatch.setattr(measure, "pose_bound", pose_bound)
+    monkeypatch.setattr(report, "load_scene", load_scene)
+    monkeypatch.setattr(report, "pose_bound", pose_bound)
     return calls
 
 
@@ -101,7 +102,7 @@ def test_a_command_that_fails_says_what_it_warned_of(rendered, capsys, monkeypat
             warnings.warn("one thing to know", PrecisionWarning, stacklevel=2)
         raise SceneError("the scene is at fault")
 
-    monkeypatch.setattr(measure, "pose_bound", fail)
+    monkeypatch.setattr(report, "pose_bound", fail)
     assert cli.run(["bound", "room.xml"]) == 2
     out, err = capsys.readouterr()
     assert out == ""
@@ -181,6 +182,40 @@ def test_options_reach_the_library(rendered, capsys, tmp_path):
     }
     assert rendered.defines == {"a": "1", "b": "x=y"}
     assert rendered.noise.sigma == 0.1
+
+
+VIEW = {
+    "sensor": "left",
+    "spp": 8,
+    "seed": 5,
+    "batches": 8,
+    "size": (20, 10),
+    "pixels": "random:0.5",
+    "drop_invalid": True,
+}
+"""What every command that measures a view can be told of it."""
+
+
+@pytest.mark.parametrize(
+    ("command", "module", "function", "more"),
+    [
+        ("check", validation, "check_jacobian", {"methods": ("flow",)}),
+        ("validate", trials, "validate", {"method": "flow", "defines": {}}),
+    ],
+)
+def test_what_is_said_of_the_view_reaches_the_library(monkeypatch, capsys, command, module, function, more):
+    given = {}
+
+    def refuse(_, **options):
+        given.update(options)
+        raise OptionError("as far as this goes")
+
+    monkeypatch.setattr(scene, "load_scene", lambda path: "loaded")
+    monkeypatch.setattr(module, function, refuse)
+    said = "--sensor left --method flow --spp 8 --seed 5 --batches 8 --size 20x10 --pixels random:0.5"
+    refused(capsys, command, "room.xml", *said.split(), "--drop-invalid", "--pose", "1 2 3 0 0 0 1")
+    np.testing.assert_array_equal(given["pose"][:3, 3], [1, 2, 3])
+    assert given.items() >= (VIEW | more).items()
 
 
 def test_what_cannot_be_a_prior_is_refused(capsys, tmp_path):
@@ -279,6 +314,10 @@ def test_outputs_never_overwrite_inputs(rendered, capsys, monkeypatch, tmp_path)
             capsys, "bound", "room.xml", "--pose", "pose.txt", "--pixels", "mask.png", "--json", name
         )
         assert "overwrite" in line
+        line = refused(
+            capsys, "validate", "room.xml", "--pose", "pose.txt", "--pixels", "mask.png", "--plot", name
+        )
+        assert "overwrite" in line
         assert Path(name).read_text().startswith("1.0 0.0")
 
 
@@ -286,14 +325,14 @@ def test_library_error_is_one_line_and_a_traceback_only_with_debug(capsys, monke
     def load_scene(path, **defines):
         raise SceneError("line 3 of room.xml\nis wrong")
 
-    monkeypatch.setattr(scene, "load_scene", load_scene)
+    monkeypatch.setattr(report, "load_scene", load_scene)
     assert refused(capsys, "bound", "room.xml") == "mitsuba-crb: line 3 of room.xml is wrong\n"
     assert cli.run(["bound", "room.xml", "--debug"]) == 2
     assert "Traceback" in capsys.readouterr().err
 
 
 def test_unforeseen_error_shows_its_traceback_and_is_no_verdict(capsys, monkeypatch):
-    monkeypatch.setattr(scene, "load_scene", lambda path: 1 / 0)
+    monkeypatch.setattr(report, "load_scene", lambda path: 1 / 0)
     assert cli.run(["bound", "room.xml"]) == cli.INTERNAL_ERROR
     assert "ZeroDivisionError" in capsys.readouterr().err
 
@@ -304,7 +343,7 @@ def test_interrupt_is_one_line_and_leaves_files_alone(rendered, capsys, monkeypa
         raise KeyboardInterrupt
 
     if moment == "rendering":
-        monkeypatch.setattr(measure, "pose_bound", interrupt)
+        monkeypatch.setattr(report, "pose_bound", interrupt)
     else:
         monkeypatch.setattr(os, "replace", interrupt)
     path = tmp_path / "out.json"
@@ -388,7 +427,7 @@ def test_real_scene_from_file_to_files(capsys, tmp_path):
     out, err = capsys.readouterr()
     document = json.loads(files["json"].read_text(encoding="utf-8"))
     with pytest.warns(PrecisionWarning) as caught:  # 8 paths are few
-        expected = measure.pose_bound(WALL, size=(20, 16), spp=8, seed=3)
+        expected = pose_bound(WALL, size=(20, 16), spp=8, seed=3)
     assert document["warnings"] == [str(warning.message) for warning in caught]
     assert all(f"note: {text}" in out for text in document["warnings"])
     assert err == ""
@@ -465,7 +504,7 @@ def test_a_message_keeps_the_brackets_of_a_name(missing, capsys):
 
 
 def test_a_message_is_one_line_of_what_a_terminal_can_show(capsys):
-    cli.complain("a\nb\tc \x1b[2J\x00")
+    complain("a\nb\tc \x1b[2J\x00")
     assert capsys.readouterr().err == "mitsuba-crb: a b c \ufffd[2J\ufffd\n"
 
 

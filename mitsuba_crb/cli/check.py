@@ -1,0 +1,58 @@
+"""`mitsuba-crb check`: the methods beside finite differences."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from ..measure.options import CHECKING, MeasurementOptions
+from .options import Batches, Debug, Define, DropInvalid, Pixels, Pose, Scene, Seed, Sensor, Size, Spp
+from .outcome import console, foreseen, measuring
+
+
+def check(
+    scene: Scene,
+    sensor: Sensor = "0",
+    pose: Pose = None,
+    method: Annotated[
+        list[str] | None,
+        typer.Option(metavar="M", help="Method to check, repeatable; default: flow and forward."),
+    ] = None,
+    spp: Spp = CHECKING["spp"],
+    seed: Seed = MeasurementOptions.seed,
+    batches: Batches = CHECKING["batches"],
+    size: Size = None,
+    define: Define = None,
+    pixels: Pixels = None,
+    drop_invalid: DropInvalid = False,
+    debug: Debug = False,
+) -> int:
+    """Compare the methods with finite differences on this scene.
+
+    Exit code 0 if they agree, 1 if they disagree, 3 if this many paths cannot tell.
+    """
+    with foreseen(debug):
+        from .arguments import parse_defines, view_options
+
+        options = view_options(
+            sensor=sensor,
+            pose=pose,
+            size=size,
+            pixels=pixels,
+            drop_invalid=drop_invalid,
+            spp=spp,
+            seed=seed,
+            batches=batches,
+        )
+        defines = parse_defines(define)
+
+        from ..measure.check import CHECKED, check_jacobian
+        from ..render.scene import load_scene
+        from ..show.check_table import print_check
+
+        with measuring() as (_, warned):
+            methods = tuple(method or CHECKED)
+            result = check_jacobian(load_scene(scene, **defines), methods=methods, **options)
+        print_check(console(), result, warned)
+        return result.exit_code

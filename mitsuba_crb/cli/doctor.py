@@ -1,0 +1,17 @@
+"""`mitsuba-crb doctor`: whether what is installed works."""
+
+from __future__ import annotations
+
+from .options import Debug
+from .outcome import console, foreseen
+
+
+def doctor(debug: Debug = False) -> int:
+    """Versions, LLVM, cores, and whether a 16x16 bound runs."""
+    with foreseen(debug):
+        from ..measure.diagnosis import diagnose
+        from ..show.diagnosis_table import print_diagnosis
+
+        diagnosis = diagnose()
+        print_diagnosis(console(), diagnosis)
+        return 0 if diagnosis.ok else 1

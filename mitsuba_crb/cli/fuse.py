@@ -1,0 +1,31 @@
+"""`mitsuba-crb fuse`: what several agents know together of their common body's pose."""
+
+from __future__ import annotations
+
+from .options import Config, Debug, JsonFile, Workers
+from .outcome import answered, foreseen, measuring
+
+
+def fuse(
+    config: Config,
+    workers: Workers = None,
+    json_file: JsonFile = None,
+    debug: Debug = False,
+) -> None:
+    """What several agents know together of their common body's pose."""
+    with foreseen(debug):
+        from ..agents.team import load_team
+        from ..export.targets import check_targets
+
+        team = load_team(config)
+        check_targets({"--json": json_file}, [config, *(member.scene for member in team.members)])
+
+        from ..export.documents import fusion_document, write_json
+        from ..measure.teams import fuse_team
+        from ..show.team_table import print_fusion
+
+        with measuring() as (advance, _):  # the result repeats the warnings
+            result = fuse_team(team, workers=workers, on_agent=advance)
+        with answered(lambda to: print_fusion(to, team, result)):
+            if json_file is not None:
+                write_json(json_file, fusion_document(team, result))

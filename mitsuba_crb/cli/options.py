@@ -1,0 +1,50 @@
+"""Arguments and options that several commands have, with their words of help."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Scene = Annotated[Path, typer.Argument(metavar="SCENE", help="A Mitsuba 3 scene file (.xml).")]
+Sensor = Annotated[str, typer.Option(metavar="S", help="The camera: index or id.")]
+Pose = Annotated[
+    str | None,
+    typer.Option(
+        metavar='FILE|"x y z qx qy qz qw"',
+        help="world_from_camera in place of the scene's: a file with a 4x4 matrix (text, .npy or .json), "
+        "or position and quaternion.",
+    ),
+]
+Method = Annotated[str, typer.Option(metavar="M", help="How the Jacobian is measured.")]
+Spp = Annotated[int, typer.Option(metavar="N", help="Paths per pixel over all batches.")]
+Seed = Annotated[int, typer.Option(metavar="N", help="Of all random numbers; same seed, same bits.")]
+Batches = Annotated[int, typer.Option(metavar="N", help="Independent estimates, at least 4.")]
+Sigma = Annotated[
+    float | None,
+    typer.Option(
+        metavar="X",
+        help="Standard deviation of the pixel noise (radiance); default: 0.01 of the image's white.",
+    ),
+]
+Size = Annotated[str | None, typer.Option(metavar="WxH", help="Image size in place of the film's (pixels).")]
+Pixels = Annotated[
+    str | None,
+    typer.Option(metavar="random:F|gradient:F|MASK.png", help="Which pixels to measure; default: all."),
+]
+DropInvalid = Annotated[
+    bool, typer.Option("--drop-invalid", help="Leave out pixels with NaN or infinite radiance.")
+]
+Define = Annotated[
+    list[str] | None,
+    typer.Option("-D", metavar="name=value", help="Set one of the scene's <default>s; repeatable."),
+]
+Config = Annotated[
+    Path, typer.Argument(metavar="CONFIG.toml", help="Who looks where: see scenes/warehouse/warehouse.toml.")
+]
+Workers = Annotated[
+    int | None, typer.Option(metavar="N", help="Processes that render; default: one per agent and core.")
+]
+JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write everything as JSON.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]

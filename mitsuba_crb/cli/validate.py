@@ -1,0 +1,118 @@
+"""`mitsuba-crb validate`: an estimator's errors beside the bound."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from ..measure.options import VALIDATING, MeasurementOptions
+from .options import (
+    Batches,
+    Debug,
+    Define,
+    DropInvalid,
+    Method,
+    Pixels,
+    Pose,
+    Scene,
+    Seed,
+    Sensor,
+    Sigma,
+    Size,
+    Spp,
+    Workers,
+)
+from .outcome import answered, foreseen, measuring
+
+
+def validate(
+    scene: Scene,
+    sensor: Sensor = "0",
+    pose: Pose = None,
+    trials: Annotated[int, typer.Option(metavar="N", help="How many.")] = 100,
+    perturb_deg: Annotated[
+        float, typer.Option(metavar="D", help="Starts are turned by up to this angle (degrees).")
+    ] = 0.5,
+    perturb_trans: Annotated[
+        float, typer.Option(metavar="T", help="Starts are moved by up to this distance (scene units).")
+    ] = 0.01,
+    sigma: Sigma = None,
+    estimator: Annotated[
+        Literal["gauss_newton", "levenberg_marquardt", "adam"], typer.Option(help="What is put to the test.")
+    ] = "gauss_newton",
+    levels: Annotated[
+        int, typer.Option(metavar="L", help="Halvings of the image that a search begins with.")
+    ] = 0,
+    method: Method = MeasurementOptions.method,
+    spp: Spp = VALIDATING["spp"],
+    seed: Seed = MeasurementOptions.seed,
+    batches: Batches = MeasurementOptions.batches,
+    size: Size = None,
+    define: Define = None,
+    pixels: Pixels = None,
+    drop_invalid: DropInvalid = False,
+    workers: Workers = None,
+    json_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--json", metavar="FILE", help="Write all trials as JSON, as they end; resumes what is there."
+        ),
+    ] = None,
+    plot_file: Annotated[
+        Path | None,
+        typer.Option("--plot", metavar="FILE", help="Write coverage, NEES and eigenvalues as PNG."),
+    ] = None,
+    debug: Debug = False,
+) -> int:
+    """Put the bound to the test: perturb poses, align noisy images.
+
+    Exit code 0 if the errors are as the bound says, 1 if they are not.
+    """
+    with foreseen(debug):
+        from ..export.targets import check_targets
+        from .arguments import parse_defines, view_files, view_options
+
+        options = view_options(
+            sensor=sensor,
+            pose=pose,
+            size=size,
+            pixels=pixels,
+            drop_invalid=drop_invalid,
+            spp=spp,
+            seed=seed,
+            batches=batches,
+        )
+        defines = parse_defines(define)
+        inputs = view_files(scene, pose, pixels)
+        check_targets({"--json": json_file, "--plot": plot_file}, inputs, resumed="--json")
+
+        from ..estimate.trials import validate as run_trials
+        from ..export.documents import write_json
+        from ..show.trials_table import print_validation
+
+        with measuring() as (advance, warned):
+            result = run_trials(
+                scene,
+                trials=trials,
+                perturb_deg=perturb_deg,
+                perturb_trans=perturb_trans,
+                sigma=sigma,
+                estimator=estimator,
+                levels=levels,
+                workers=workers,
+                resume=json_file,
+                on_trial=advance,
+                defines=defines,
+                method=method,
+                **options,
+            )
+        with answered(lambda to: print_validation(to, result, warned)):
+            if json_file is not None:
+                write_json(json_file, result.to_dict())
+            if plot_file is not None:
+                from ..show.trials_page import write_validation_plot
+
+                write_validation_plot(plot_file, result)
+        return 0 if result.consistency.consistent else 1
