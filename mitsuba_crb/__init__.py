@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from .information.image_jacobian import ImageJacobian as ImageJacobian
     from .information.joint import JointInformation as JointInformation
     from .information.joint import joint_information as joint_information
+    from .information.linearisation import Linearisation as Linearisation
+    from .information.linearisation import PixelSelection as PixelSelection
     from .measure.bayesian import van_trees as van_trees
     from .measure.check import check_jacobian as check_jacobian
     from .measure.displaced import hcr_bound as hcr_bound
@@ -56,6 +58,8 @@ _HOME = {
     "fisher_information": "information.accumulate",
     "JointInformation": "information.joint",
     "joint_information": "information.joint",
+    "Linearisation": "information.linearisation",
+    "PixelSelection": "information.linearisation",
     "hcr_bound": "measure.displaced",
     "pose_bound": "measure.pose",
     "pose_jacobian": "measure.pose",

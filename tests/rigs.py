@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mitsuba_crb import se3
 from mitsuba_crb.information.fisher import FisherInformation
-from mitsuba_crb.information.image_jacobian import PixelSelection
+from mitsuba_crb.information.linearisation import Linearisation, PixelSelection
 
 SELECTION = PixelSelection("all", 100, 100, "all")
 
@@ -46,17 +46,22 @@ def camera_jacobian(points: NDArray[Any]) -> NDArray[Any]:
     return (projection_slope(points) @ point_motion(points)).reshape(-1, 6)
 
 
-def made(matrix: Any, covariance: Any = None, **changes: Any) -> FisherInformation:
-    """An information with the given matrix, exact unless a covariance is given."""
+def about(**changes: Any) -> Linearisation:
+    """A camera at the world's origin, its own frame, with some fields changed."""
     fields: dict[str, Any] = {
-        "frame": "camera",
         "variable": "camera",
+        "frame": "camera",
         "pose": np.eye(4),
         "length_scale": 2.0,
         "selection": SELECTION,
     }
+    return Linearisation(**(fields | changes))
+
+
+def made(matrix: Any, covariance: Any = None, plain_matrix: Any = None, **changes: Any) -> FisherInformation:
+    """An information with the given matrix, exact unless a covariance is given, of `about`."""
     covariance = np.zeros((21, 21)) if covariance is None else covariance
-    return FisherInformation(np.asarray(matrix), covariance, **(fields | changes))
+    return FisherInformation(np.asarray(matrix), covariance, plain_matrix, linearisation=about(**changes))
 
 
 def definite(rng: np.random.Generator, rank: int = 6) -> NDArray[Any]:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from mitsuba_crb import se3
 from mitsuba_crb.bound.cramer_rao import PoseBound, cramer_rao_bound
 from mitsuba_crb.information.accumulate import fisher_information
-from mitsuba_crb.information.image_jacobian import ImageJacobian, PixelSelection
+from mitsuba_crb.information.image_jacobian import ImageJacobian
+from mitsuba_crb.information.linearisation import Linearisation, PixelSelection
 from mitsuba_crb.noise import Gaussian
 
 SIGMA = 0.01
@@ -68,11 +69,13 @@ def jacobian(
         batch_values=batch_values,
         pixels=np.stack([column, row], axis=1),
         image=np.where(measured[..., None], image, np.nan),
-        frame="camera",
-        pose=POSE,
-        selection=PixelSelection(kind, height * width, len(row), "all" if kind == "all" else f"{kind}:x"),  # type: ignore[arg-type]
-        length_scale=2.5,
-        variable="sensor 0",
+        linearisation=Linearisation(
+            variable="sensor 0",
+            frame="camera",
+            pose=POSE,
+            length_scale=2.5,
+            selection=PixelSelection(kind, height * width, len(row), "all" if kind == "all" else f"{kind}:x"),  # type: ignore[arg-type]
+        ),
     )
 
 

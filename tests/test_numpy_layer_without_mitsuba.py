@@ -27,15 +27,18 @@ for package in ("noise", "information", "bound", "agents"):
     folder = importlib.import_module(f"mitsuba_crb.{package}")
     for module in pkgutil.iter_modules(folder.__path__):
         importlib.import_module(f"mitsuba_crb.{package}.{module.name}")
-from mitsuba_crb.information.image_jacobian import PixelSelection
 
 J = np.random.default_rng(0).normal(size=(4, 64, 3, 6))
 J[:] = J[0]
 pixels = np.stack(np.divmod(np.arange(64), 8), axis=1)
-selection = PixelSelection("all", 64, 64, "all")
-jacobian = mitsuba_crb.ImageJacobian(
-    J, pixels, np.zeros((8, 8, 3)), "camera", np.eye(4), selection, 1.0, "camera"
+about = mitsuba_crb.Linearisation(
+    variable="camera",
+    frame="camera",
+    pose=np.eye(4),
+    length_scale=1.0,
+    selection=mitsuba_crb.PixelSelection("all", 64, 64, "all"),
 )
+jacobian = mitsuba_crb.ImageJacobian(J, pixels, np.zeros((8, 8, 3)), linearisation=about)
 fisher_information = mitsuba_crb.fisher_information(jacobian, mitsuba_crb.noise.Gaussian(0.1))
 result = mitsuba_crb.cramer_rao_bound(fisher_information)
 assert result.rank == 6, result

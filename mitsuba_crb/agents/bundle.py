@@ -31,7 +31,7 @@ from .. import se3
 from ..camera import Camera
 from ..errors import PointsError
 from ..information.fisher import FisherInformation
-from ..information.image_jacobian import PixelSelection
+from ..information.linearisation import Linearisation, PixelSelection
 from ..information.significance import no_information
 from ..se3 import Array
 from .pose_graph import JointPoseInformation, PoseGraph
@@ -78,11 +78,13 @@ def point_information(points: ArrayLike, view: PointView) -> FisherInformation:
     return FisherInformation(
         matrix=rows.T @ rows,
         covariance_of_entries=np.zeros((21, 21)),
-        frame="camera",
-        variable=view.variable,
-        pose=images.pose,
-        length_scale=images.depth,
-        selection=PixelSelection("only", count, count, f"{count} points"),
+        linearisation=Linearisation(
+            variable=view.variable,
+            frame="camera",
+            pose=images.pose,
+            length_scale=images.depth,
+            selection=PixelSelection("only", count, count, f"{count} points"),
+        ),
     )
 
 

@@ -138,10 +138,10 @@ class InformationFilter:
         """The message in the camera frame and at exactly the filter's pose."""
         information = message.information.to_frame("camera")
         try:
-            self._prior + information
+            self._prior.linearisation.refuse_to_mix(information.linearisation, "add information")
         except FrameError as error:
             raise FrameError(f"message {message.sequence} of {message.agent!r}: {error}") from None
-        return replace(message, information=replace(information, pose=self._prior.pose))
+        return replace(message, information=information.about(pose=self._prior.pose))
 
 
 def _needs(delta: Message) -> tuple[Any, ...]:

@@ -124,14 +124,10 @@ def encode(
     return message_layout.write(
         Fields(
             agent=agent,
-            variable=information.variable,
-            frame=information.frame,
+            linearisation=information.linearisation,
             sequence=int(sequence),
             tile=tile,
             base=None if base is None else (base.sequence, base.checksum),
-            selection=camera.selection,
-            pose=camera.pose,
-            length_scale=camera.length_scale,
             quantised=quantised,
             noise=noise_bound(quantised.scaled_matrix, T @ camera.covariance_of_entries @ T.T),
             kept=kept_fraction(decoded, camera.matrix, quantised.rank if base is None else 6),
@@ -152,17 +148,13 @@ def decode(data: bytes) -> Message:
     information = FisherInformation(
         matrix=quantised.matrix,
         covariance_of_entries=T @ fields.noise.covariance(quantised.scaled_matrix) @ T.T,
-        frame="camera",
-        variable=fields.variable,
-        pose=fields.pose,
-        length_scale=fields.length_scale,
-        selection=fields.selection,
+        linearisation=replace(fields.linearisation, frame="camera"),
     )
     return Message(
         agent=fields.agent,
         sequence=fields.sequence,
         tile=fields.tile,
-        information=information.to_frame(fields.frame),
+        information=information.to_frame(fields.linearisation.frame),
         base=fields.base,
         quantised=quantised,
         kept=fields.kept,
@@ -182,8 +174,8 @@ def _change(camera: FisherInformation, base: Message, agent: str, sequence: int,
     if base.sequence >= sequence:
         raise MessageError(f"a delta comes after its base: {sequence} is not above {base.sequence}")
     known = base.information.to_frame("camera")
-    # As a sum, because addition refuses to mix different poses.
-    return (camera + replace(known, matrix=-known.matrix)).matrix
+    camera.linearisation.refuse_to_mix(known.linearisation, "send a change of information")
+    return np.asarray(camera.matrix - known.matrix)
 
 
 def _check_form(form: str, precision: str, rank: int) -> None:

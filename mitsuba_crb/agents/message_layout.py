@@ -51,7 +51,7 @@ from scipy.spatial.transform import Rotation
 
 from .. import se3
 from ..errors import MessageError
-from ..information.image_jacobian import PixelSelection
+from ..information.linearisation import Linearisation, PixelSelection
 from ..se3 import Array, Frame
 from .entry_noise import LARGEST_INFLATION, NoiseBound
 from .quantisation import (
@@ -89,16 +89,11 @@ class Fields:
     """What a message says."""
 
     agent: str
-    variable: str
-    frame: Frame
+    linearisation: Linearisation
     sequence: int
     tile: Tile | None
     base: tuple[int, int] | None
     """A delta's base: sequence number and checksum."""
-    selection: PixelSelection
-    pose: Array
-    """world_from_camera, (4, 4)."""
-    length_scale: float
     quantised: QuantisedInformation
     noise: NoiseBound
     kept: float
@@ -117,30 +112,30 @@ def write(fields: Fields) -> bytes:
     Raises:
         MessageError: a name is empty or longer than 255 bytes.
     """
-    agent, variable = _encoded(fields.agent, "agent"), _encoded(fields.variable, "variable")
-    quantised, selection = fields.quantised, fields.selection
+    about, quantised = fields.linearisation, fields.quantised
+    agent, variable = _encoded(fields.agent, "agent"), _encoded(about.variable, "variable")
     header = _HEADER.pack(
         MAGIC,
         VERSION,
         FORMS.index(quantised.form),
         NUMBER_BYTES[quantised.precision],
-        _FRAMES.index(fields.frame),
+        _FRAMES.index(about.frame),
         quantised.rank,
         sum(1 << i for i, sign in enumerate(quantised.signs) if sign < 0),
         len(agent),
         len(variable),
-        _KINDS.index(selection.kind),
+        _KINDS.index(about.selection.kind),
         0 if fields.base is None else 1,
         math.floor(fields.kept * 65535),
         *quantised.exponents.tolist(),
         fields.sequence,
         *(fields.base or (0, 0)),
         *(fields.tile or (0, 0, 0, 0)),
-        selection.total,
-        selection.selected,
-        *fields.pose[:3, 3],
-        *Rotation.from_matrix(fields.pose[:3, :3]).as_quat(),
-        fields.length_scale,
+        about.selection.total,
+        about.selection.selected,
+        *about.pose[:3, 3],
+        *Rotation.from_matrix(about.pose[:3, :3]).as_quat(),
+        about.length_scale,
         quantised.scale,
         quantised.shift,
         fields.noise.inflation,
@@ -199,14 +194,16 @@ def _parse(header: tuple[Any, ...], tail: bytes) -> Fields:
     precision = _PRECISIONS[number_bytes]
     return Fields(
         agent=agent,
-        variable=_decoded(tail[agent_bytes:names], "variable"),
-        frame=_FRAMES[frame],
+        linearisation=Linearisation(
+            variable=_decoded(tail[agent_bytes:names], "variable"),
+            frame=_FRAMES[frame],
+            pose=_pose(header[27:34]),
+            length_scale=length_scale,
+            selection=PixelSelection(_KINDS[kind], total, selected, f"message {sequence} of {agent}"),
+        ),
         sequence=sequence,
         tile=tile if any(tile) else None,
         base=(base_sequence, base_checksum) if delta else None,
-        selection=PixelSelection(_KINDS[kind], total, selected, f"message {sequence} of {agent}"),
-        pose=_pose(header[27:34]),
-        length_scale=length_scale,
         quantised=QuantisedInformation(
             form,
             precision,

@@ -38,7 +38,7 @@ from .. import se3
 from ..errors import FusionError
 from ..information.fisher import FisherInformation
 from ..information.identifiability import FLOAT32_FLOOR
-from ..information.image_jacobian import PixelSelection
+from ..information.linearisation import Linearisation, PixelSelection
 from ..information.significance import positive_semi_definite, refuse_negative, scaled_covariance
 from ..se3 import Array
 from .joint_state import JointState
@@ -280,15 +280,17 @@ class PoseGraph:
         return FisherInformation(
             matrix=unit[:, None] * projection.matrix * unit,
             covariance_of_entries=part.state.covariance_of_entries(projection.response * unit),
-            frame="camera",
-            variable=variable,
-            pose=pose,
-            length_scale=like.length_scale,
-            selection=PixelSelection(
-                "all" if all(s.kind == "all" for s in selections) else "only",
-                sum(s.total for s in selections),
-                sum(s.selected for s in selections),
-                f"those of {len(selections)} poses",
+            linearisation=Linearisation(
+                variable=variable,
+                frame="camera",
+                pose=pose,
+                length_scale=like.length_scale,
+                selection=PixelSelection(
+                    "all" if all(s.kind == "all" for s in selections) else "only",
+                    sum(s.total for s in selections),
+                    sum(s.selected for s in selections),
+                    f"those of {len(selections)} poses",
+                ),
             ),
         )
 

@@ -12,20 +12,26 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from numbers import Integral
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import se3
 from ..errors import FrameError, SelectionError
+from ..information.linearisation import Linearised
 from ..information.symmetric import symmetrised
 from ..se3 import Array
 from .fusion import refuse_two_places
 
 
 @dataclass(frozen=True, eq=False)
-class TileInformation:
-    """One agent's tiles, each with two independent estimates of its information about one pose."""
+class TileInformation(Linearised):
+    """One agent's tiles, each with two independent estimates of its information about one pose.
+
+    The pose is the camera's, or that of the body that all agents have in common; the blocks are in its own
+    frame, with translation in units of the length scale.
+    """
 
     agent: str
     """The agent's name."""
@@ -37,12 +43,6 @@ class TileInformation:
     """(T, 6, 6) from the other half, to report; unbiased, so possibly indefinite."""
     cost_bytes: NDArray[np.int64]
     """(T,), size of the message that carries the tile [byte]."""
-    variable: str
-    """What the pose belongs to: the camera, or the body that all agents have in common."""
-    pose: Array
-    """world_from_camera or world_from_common, the linearisation point."""
-    length_scale: float
-    """Unit of the blocks' translation [scene unit]."""
     correlated_noise: bool = False
     """Whether noise is correlated between the pixels of different tiles; such tiles do not add."""
 
@@ -59,11 +59,11 @@ class TileInformation:
             raise SelectionError(
                 f"agent {self.agent!r}: cost_bytes must be {len(tiles)} positive numbers, one per tile"
             )
-        if not (np.isfinite(self.length_scale) and self.length_scale > 0.0):
-            raise SelectionError(
-                f"agent {self.agent!r}: the length scale must be positive and finite, not {self.length_scale}"
+        if self.frame != "camera":
+            raise FrameError(
+                f"agent {self.agent!r}: tiles are in the camera frame, not in the {self.frame} frame"
             )
-        checked = {"tiles": tiles, "cost_bytes": cost, "pose": se3.as_pose(self.pose)}
+        checked: dict[str, NDArray[Any]] = {"tiles": tiles, "cost_bytes": cost}
         checked |= {name: self._blocks(name, len(tiles)) for name in ("select", "report")}
         for name, array in checked.items():
             array.flags.writeable = False
@@ -243,17 +243,15 @@ def about_common_body(
     for agent, transform in zip(agents, transforms, strict=True):
         reach = float(max(np.abs(agent.pose).max(), np.abs(transform).max()))
         refuse_two_places(agent.agent, bodies[agent.agent], first, bodies[first], reach=reach)
-        own_units, new_units = (np.repeat([scale, 1.0], 3) for scale in (agent.length_scale, length))
-        A = se3.adjoint(se3.inverse(transform)) * new_units / own_units[:, None]
+        about = replace(agent.linearisation, variable=variable, pose=bodies[first], length_scale=length)
+        A = se3.adjoint(se3.inverse(transform)) * about.scale / agent.scale[:, None]
         common.append(
             replace(
                 agent,
                 select=A.T @ agent.select @ A,
                 report=A.T @ agent.report @ A,
                 cost_bytes=agent.cost_bytes + len(variable.encode()) - len(agent.variable.encode()),
-                variable=variable,
-                pose=bodies[first],
-                length_scale=length,
+                linearisation=about,
             )
         )
     return common
@@ -285,21 +283,13 @@ def check_agents(agents: Sequence[TileInformation]) -> None:
     if correlated:
         raise SelectionError(correlated_refusal(correlated))
     first = agents[0]
-    tolerance = 1e-9 * max(1.0, float(np.abs(first.pose[:3, 3]).max()))
     for other in agents[1:]:
-        if other.variable != first.variable:
-            raise FrameError(
-                f"the tiles of {first.agent!r} are about {first.variable!r}, those of {other.agent!r} about "
-                f"{other.variable!r}; transport them to one common pose"
-            )
+        act = f"add the tiles of {first.agent!r} and {other.agent!r}"
+        first.linearisation.refuse_to_mix(other.linearisation, act)
         if other.length_scale != first.length_scale:
             raise FrameError(
                 f"the tiles of {first.agent!r} have the length scale {first.length_scale:g}, those of "
                 f"{other.agent!r} {other.length_scale:g}; scale them alike"
-            )
-        if not np.allclose(other.pose, first.pose, rtol=0.0, atol=tolerance):
-            raise FrameError(
-                f"the tiles of {first.agent!r} and {other.agent!r} are linearised at two different poses"
             )
 
 

@@ -126,7 +126,7 @@ def _with_prior(
         prior, information = prior.in_frame("camera", camera.pose), camera
     if isinstance(prior, FisherInformation):
         total = (information + prior).to_frame("camera")
-        total = dataclass_replace(total, length_scale=camera.length_scale)
+        total = total.about(length_scale=camera.length_scale)
         own = prior.to_frame("camera")
         matrix = S @ own.matrix @ S
         if own.covariance_of_entries.any():

@@ -199,7 +199,7 @@ class Misfit:
             mask = np.zeros_like(self.run.mask)
             mask[self.run.mask] = self.measurable & self.seen
             jacobian = jacobian.only(mask, f"{jacobian.selection.description}, where the radiance is finite")
-        return fisher_information(dataclasses.replace(jacobian, pose=pose), self.noise)
+        return fisher_information(jacobian.about(pose=pose), self.noise)
 
 
 def _covers(jacobian: ImageJacobian, mask: NDArray[np.bool_]) -> bool:

@@ -87,7 +87,7 @@ def least_squares(misfit: Misfit, pose: Array, damping: float, iterations: int) 
 def adam(misfit: Misfit, pose: Array, rate: float, count: int, iterations: int) -> tuple[Array, Status, int]:
     """Adam on the twist, from random batches of pixels."""
     rng = np.random.default_rng(misfit.run.options.seed)
-    scale = np.array([misfit.run.length_scale] * 3 + [1.0] * 3)
+    scale = misfit.run.linearisation.scale
     first, second = np.zeros(6), np.zeros(6)
     for iteration in range(1, iterations + 1):
         chosen = np.sort(rng.permutation(len(misfit.pixels))[:count])

@@ -259,13 +259,7 @@ class _Windows:
         total = ndimage.uniform_filter(tensor, side, axes=(0, 1), mode="constant")
         noise_of_total = np.sqrt(ndimage.uniform_filter(variance, side, mode="constant").clip(0.0)) / side
         usable = ~blocked & (np.linalg.eigvalsh(total)[..., 0] > _RESOLVED * noise_of_total)
-        information = accumulator.information(
-            frame="camera",
-            variable=run.view.variable,
-            pose=run.view.pose,
-            length_scale=run.length_scale,
-            selection=run.selection,
-        )
+        information = accumulator.information(run.linearisation)
         return _Windows(camera, np.nan_to_num(image), information, half, tensor, usable)
 
     @property

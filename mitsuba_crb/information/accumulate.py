@@ -20,14 +20,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import se3
 from ..errors import NoiseError, OptionError, PixelsError, RadianceError
 from ..noise import CoupledNoise, NoiseModel
-from ..se3 import Array, Frame
+from ..se3 import Array
 from .blocks import in_squares
 from .coupled import CoupledComponents, ordered_products
 from .fisher import FisherInformation
-from .image_jacobian import ImageJacobian, PixelSelection
+from .image_jacobian import ImageJacobian
+from .linearisation import Linearisation, PixelSelection
 from .sampled import SampledComponents
 from .symmetric import congruence, entries, symmetrised, unpack
 from .ustatistic import (
@@ -70,6 +70,15 @@ class Sums:
             symmetrised(A.T @ self.matrix @ A),
             T @ self.covariance_of_entries @ T.T,
             symmetrised(A.T @ self.plain_matrix @ A),
+        )
+
+    def information(self, linearisation: Linearisation) -> FisherInformation:
+        """The information of a pose that these sums (P = 6) are."""
+        return FisherInformation(
+            matrix=self.matrix,
+            covariance_of_entries=self.covariance_of_entries,
+            plain_matrix=self.plain_matrix,
+            linearisation=linearisation,
         )
 
 
@@ -207,25 +216,13 @@ class InformationAccumulator:
             ]
             self._sum += components.add(np.concatenate(units, axis=-1)).sum(axis=1)
 
-    def information(
-        self, *, frame: Frame, variable: str, pose: ArrayLike, length_scale: float, selection: PixelSelection
-    ) -> FisherInformation:
+    def information(self, linearisation: Linearisation) -> FisherInformation:
         """The information of everything added so far, scaled to the whole image for a random subset.
 
         Raises:
             PixelsError: nothing was added, more pixels than selected, or a random subset without `sampled`.
         """
-        sums = self.sums(selection)
-        return FisherInformation(
-            matrix=sums.matrix,
-            covariance_of_entries=sums.covariance_of_entries,
-            frame=frame,
-            variable=variable,
-            pose=se3.as_pose(pose),
-            length_scale=length_scale,
-            selection=selection,
-            plain_matrix=sums.plain_matrix,
-        )
+        return self.sums(linearisation.selection).information(linearisation)
 
     @property
     def added(self) -> Sums:
@@ -366,11 +363,4 @@ def fisher_information(
         coupled=as_noise_model(noise).couples_pixels,
     )
     sum_image(accumulator, camera, noise, mean)
-    information = accumulator.information(
-        frame="camera",
-        variable=jacobian.variable,
-        pose=jacobian.pose,
-        length_scale=jacobian.length_scale,
-        selection=jacobian.selection,
-    )
-    return information.to_frame(jacobian.frame)
+    return accumulator.information(camera.linearisation).to_frame(jacobian.frame)

@@ -4,36 +4,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from dataclasses import replace as dataclass_replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .. import se3
 from ..errors import FrameError
 from ..se3 import Array, Frame
-from .image_jacobian import PixelSelection, old_from_new, refuse_to_mix
+from .linearisation import Linearised
 from .symmetric import congruence, symmetrised, unpack
 
 
 @dataclass(frozen=True, eq=False)
-class FisherInformation:
+class FisherInformation(Linearised):
     """Fisher information of one pose, tagged with what it is about, and with its own uncertainty."""
 
     matrix: Array
     """(6, 6), F for ξ = (ρ, φ) in `frame`; an unbiased estimate, so possibly indefinite."""
     covariance_of_entries: Array
     """(21, 21), covariance of F's upper triangle in `numpy.triu_indices(6)` order."""
-    frame: Frame
-    """The twist's frame, `"camera"` or `"world"`."""
-    variable: str
-    """Which camera or body the pose belongs to."""
-    pose: Array
-    """world_from_camera, the linearisation point."""
-    length_scale: float
-    """Length [scene unit] that makes translation comparable with rotation."""
-    selection: PixelSelection
-    """Which pixels it is the information of."""
     plain_matrix: Array | None = None
     """(6, 6) ĴᵀWĴ, biased upwards by Monte Carlo noise, a diagnostic; None where it is not known."""
     # The camera-frame matrix that this one was derived from: far from the origin the way back loses digits.
@@ -41,11 +30,7 @@ class FisherInformation:
     _origin: FisherInformation | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.frame not in ("camera", "world"):
-            raise FrameError(f"unknown frame {self.frame!r}; expected 'camera' or 'world'")
-        if not (np.isfinite(self.length_scale) and self.length_scale > 0.0):
-            raise FrameError(f"the length scale must be positive and finite, not {self.length_scale}")
-        shapes = {"matrix": (6, 6), "covariance_of_entries": (21, 21), "pose": (4, 4), "plain_matrix": (6, 6)}
+        shapes = {"matrix": (6, 6), "covariance_of_entries": (21, 21), "plain_matrix": (6, 6)}
         for name, shape in shapes.items():
             value = getattr(self, name)
             if value is None:
@@ -53,8 +38,7 @@ class FisherInformation:
             array = np.array(value, dtype=np.float64)
             if array.shape != shape or not np.isfinite(array).all():
                 raise FrameError(f"{name} must be a finite array of shape {shape}, not {array.shape}")
-            if name != "pose":
-                array = symmetrised(array)
+            array = symmetrised(array)
             array.flags.writeable = False
             object.__setattr__(self, name, array)
 
@@ -62,11 +46,6 @@ class FisherInformation:
     def standard_error(self) -> Array:
         """(6, 6), the standard error of every entry of `matrix`."""
         return unpack(np.sqrt(np.maximum(np.diagonal(self.covariance_of_entries), 0.0)))
-
-    @property
-    def scale(self) -> Array:
-        """(6,), camera-frame twist per twist in scaled units: the length scale three times, then ones."""
-        return np.array([self.length_scale] * 3 + [1.0] * 3)
 
     @property
     def noise_inflation(self) -> float | None:
@@ -90,7 +69,7 @@ class FisherInformation:
         Raises:
             FrameError: `frame` is neither `"camera"` nor `"world"`.
         """
-        A = old_from_new(self.frame, frame, self.pose)
+        A = self.linearisation.old_from_new(frame)
         if A is None:
             return self
         if self._origin is not None:
@@ -114,12 +93,9 @@ class FisherInformation:
         A = np.asarray(old_from_new, dtype=np.float64)
         T = congruence(A)
         return dataclass_replace(
-            self,
+            self.about(variable=variable, frame=frame, pose=pose),
             matrix=A.T @ self.matrix @ A,
             covariance_of_entries=T @ self.covariance_of_entries @ T.T,
-            frame=frame,
-            variable=variable,
-            pose=se3.as_pose(pose),
             plain_matrix=None if self.plain_matrix is None else A.T @ self.plain_matrix @ A,
         )
 
@@ -133,19 +109,17 @@ class FisherInformation:
         """
         if not isinstance(other, FisherInformation):
             return NotImplemented
-        refuse_to_mix(self, other, "add information")
+        self.linearisation.refuse_to_mix(other.linearisation, "add information")
         if self.frame == "world":
             return (self.to_frame("camera") + other.to_frame("camera")).to_frame("world")
         plain = None
         if self.plain_matrix is not None and other.plain_matrix is not None:
             plain = self.plain_matrix + other.plain_matrix
-        return dataclass_replace(
-            self,
+        return FisherInformation(
             matrix=self.matrix + other.matrix,
             covariance_of_entries=self.covariance_of_entries + other.covariance_of_entries,
-            length_scale=max(self.length_scale, other.length_scale),
-            selection=_joint_selection(self.selection, other.selection),
             plain_matrix=plain,
+            linearisation=self.linearisation.with_pixels_of(other.linearisation),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -160,11 +134,3 @@ class FisherInformation:
             "selection": vars(self.selection).copy(),
             "plain_matrix": None if self.plain_matrix is None else self.plain_matrix.tolist(),
         }
-
-
-def _joint_selection(a: PixelSelection, b: PixelSelection) -> PixelSelection:
-    kinds: tuple[Literal["only", "random", "all"], ...] = ("only", "random", "all")
-    kind = next(kind for kind in kinds if kind in (a.kind, b.kind))
-    return PixelSelection(
-        kind, a.total + b.total, a.selected + b.selected, f"{a.description} + {b.description}"
-    )

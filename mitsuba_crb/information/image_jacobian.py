@@ -5,39 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from dataclasses import replace as dataclass_replace
 from math import lcm
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import se3
-from ..errors import FrameError, OptionError
+from ..errors import OptionError
 from ..se3 import Array, Frame
-
-
-@dataclass(frozen=True)
-class PixelSelection:
-    """Which pixels were measured, and what that means for the information."""
-
-    kind: Literal["all", "random", "only"]
-    """`"random"` estimates the whole image's information; `"only"`: the estimator sees just those pixels."""
-    total: int
-    """Pixels of the whole image."""
-    selected: int
-    """Pixels chosen, including those dropped afterwards because they were invalid."""
-    description: str
-    """As the user gave it: `"all"`, `"random:0.1"`, `"gradient:0.1"`, `"mask.png"`."""
-
-    def only(self, selected: int, description: str | None = None) -> PixelSelection:
-        """So many of these pixels as all that an estimator has, whatever they were chosen to stand for."""
-        if selected == self.total:
-            return PixelSelection("all", self.total, selected, "all")
-        words = self.description if description is None else description
-        return PixelSelection("only", self.total, selected, words)
+from .linearisation import Linearised
 
 
 @dataclass(frozen=True, eq=False)
-class ImageJacobian:
+class ImageJacobian(Linearised):
     """Independent estimates of the derivative of an image with respect to the camera's twist."""
 
     batch_values: Array
@@ -48,16 +27,6 @@ class ImageJacobian:
     image: Array
     """(H, W, C) linear radiance, to be shown; NaN where it was not measured. By the derivative's own paths,
     whose errors it shares: what must be independent of them, or unbiased, needs a render of its own."""
-    frame: Frame
-    """The twist's frame, `"camera"` or `"world"`."""
-    pose: Array
-    """world_from_camera, the linearisation point."""
-    selection: PixelSelection
-    """What the pixels stand for."""
-    length_scale: float
-    """Median visible depth [scene unit]; 1 if nothing finite is visible."""
-    variable: str
-    """The camera's name."""
     block: int = 1
     """Side [pixel] of the film blocks whose Monte Carlo errors are independent; 1: every pixel's own."""
     parameters: tuple[str, ...] = ()
@@ -89,35 +58,26 @@ class ImageJacobian:
         """Of those of its pixels that are in a mask (H, W); they are all that an estimator has."""
         x, y = self.pixels.T
         kept = mask[y, x]
-        selection = self.selection.only(int(kept.sum()), description)
         return dataclass_replace(
-            self,
-            batch_values=self.batch_values if kept.all() else self.batch_values[:, kept],
-            pixels=self.pixels[kept],
+            self._rows(slice(None) if kept.all() else kept, int(kept.sum()), description),
             image=np.where(mask[..., None], self.image, np.nan),
             pilot=None if self.pilot is None else np.where(mask[..., None], self.pilot, np.nan),
-            selection=selection,
-            provenance={**self.provenance, "pixels": vars(selection).copy()} if self.provenance else {},
         )
 
     def to_frame(self, frame: Frame) -> ImageJacobian:
         """The same derivative with respect to the twist in another frame: J_a = J_b A for ξ_b = A ξ_a."""
-        A = old_from_new(self.frame, frame, self.pose)
+        A = self.linearisation.old_from_new(frame)
         if A is None:
             return self
         twist, others = self.batch_values[..., :6] @ A, self.batch_values[..., 6:]
-        return dataclass_replace(self, batch_values=np.concatenate([twist, others], axis=-1), frame=frame)
+        batch_values = np.concatenate([twist, others], axis=-1)
+        return dataclass_replace(self.about(frame=frame), batch_values=batch_values)
 
     def at(self, pixels: ArrayLike) -> ImageJacobian:
         """The same derivative at those of some pixels (n, 2) that it has, row by row."""
         own, wanted = (np.asarray(p).astype(np.int64) @ (1, 1 << 32) for p in (self.pixels, pixels))
         index = np.intersect1d(own, wanted, return_indices=True)[1]
-        selection = self.selection
-        if len(index) < len(own):
-            selection = dataclass_replace(selection, kind="only", selected=len(index))
-        return dataclass_replace(
-            self, batch_values=self.batch_values[:, index], pixels=self.pixels[index], selection=selection
-        )
+        return self._rows(index, len(index) if len(index) < len(own) else None)
 
     def __sub__(self, other: ImageJacobian) -> ImageJacobian:
         """What two independent estimates of one derivative differ by, at the pixels that both have.
@@ -128,7 +88,7 @@ class ImageJacobian:
         """
         if not isinstance(other, ImageJacobian):
             return NotImplemented
-        refuse_to_mix(self, other, "subtract derivatives")
+        self.linearisation.refuse_to_mix(other.linearisation, "subtract derivatives")
         a, b = self.at(other.pixels), other.at(self.pixels)
         if a.batch_values.shape != b.batch_values.shape or a.parameters != b.parameters:
             raise OptionError(
@@ -143,24 +103,12 @@ class ImageJacobian:
             provenance={"difference": [a.provenance, b.provenance]},
         )
 
-
-def old_from_new(old: Frame, new: Frame, pose: Array) -> Array | None:
-    """A with ξ_old = A ξ_new, or None if the frames agree."""
-    if new not in ("camera", "world"):
-        raise FrameError(f"unknown frame {new!r}; expected 'camera' or 'world'")
-    if old == new:
-        return None
-    return se3.adjoint(pose if old == "world" else se3.inverse(pose))
-
-
-def refuse_to_mix(a: Any, b: Any, act: str) -> None:
-    """Refuse two objects of different variables, frames or linearisation poses, with a FrameError."""
-    if a.variable != b.variable:
-        raise FrameError(f"cannot {act} about {a.variable!r} and about {b.variable!r}")
-    if a.frame != b.frame:
-        raise FrameError(
-            f"cannot {act} in the {a.frame} and in the {b.frame} frame; call to_frame on one of them"
+    def _rows(self, index: Any, count: int | None, description: str | None = None) -> ImageJacobian:
+        """Of some of its pixels, by their places; if their count is given, all that an estimator has."""
+        selection = self.selection if count is None else self.selection.only(count, description)
+        return dataclass_replace(
+            self.about(selection=selection),
+            batch_values=self.batch_values[:, index],
+            pixels=self.pixels[index],
+            provenance={**self.provenance, "pixels": vars(selection).copy()} if self.provenance else {},
         )
-    tolerance = 1e-9 * max(1.0, float(np.abs(a.pose[:3, 3]).max()))
-    if not np.allclose(a.pose, b.pose, rtol=0.0, atol=tolerance):
-        raise FrameError(f"cannot {act} linearised at two different poses")

@@ -30,15 +30,15 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import se3
-from ..errors import NuisanceError, OptionError, PixelsError
+from ..errors import FrameError, NuisanceError, OptionError, PixelsError
 from ..noise import CoupledNoise, NoiseModel
 from ..se3 import Array
 from .accumulate import InformationAccumulator, Sums, as_noise_model, sum_image
 from .blocks import BLOCK
 from .fisher import FisherInformation
 from .identifiability import FLOAT32_FLOOR
-from .image_jacobian import ImageJacobian, PixelSelection
+from .image_jacobian import ImageJacobian
+from .linearisation import Linearisation, Linearised
 
 Columns = list[int]
 
@@ -47,7 +47,7 @@ RESOLVED = 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class JointInformation:
+class JointInformation(Linearised):
     """Fisher information of a pose and of nuisance parameters, in the camera frame.
 
     `marginalize` and `fix` say what is not known and what is; `restore` takes that back, and nothing is lost.
@@ -60,16 +60,14 @@ class JointInformation:
     """Names of η's entries in the order of their columns; a nuisance of several columns repeats its name."""
     per_tile: tuple[str, ...]
     """Names of the nuisances with a value in every tile."""
-    variable: str
-    """Which camera the pose belongs to."""
-    pose: Array
-    """world_from_camera, the linearisation point."""
-    length_scale: float
-    """Length [scene unit] that makes translation comparable with rotation."""
-    selection: PixelSelection
-    """Which pixels it is the information of."""
     treatment: Mapping[str, Literal["marginalized", "fixed"]] = field(default_factory=dict)
     """What was decided of which nuisance."""
+
+    def __post_init__(self) -> None:
+        if self.frame != "camera":
+            raise FrameError(
+                "a joint information is in the camera frame; call to_frame on the Jacobian first"
+            )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -121,17 +119,7 @@ class JointInformation:
         unknown = [name for name in self.names if self.treatment[name] == "marginalized"]
         sums = self.sums[frozenset(unknown) & frozenset(self.per_tile)]
         G = _eliminate(sums, [6 + k for k, name in enumerate(self.parameters) if name in unknown])
-        pose = sums.transform(G)
-        return FisherInformation(
-            matrix=pose.matrix,
-            covariance_of_entries=pose.covariance_of_entries,
-            frame="camera",
-            variable=self.variable,
-            pose=se3.as_pose(self.pose),
-            length_scale=self.length_scale,
-            selection=self.selection,
-            plain_matrix=pose.plain_matrix,
-        )
+        return sums.transform(G).information(self.linearisation)
 
     @property
     def unseen(self) -> tuple[str, ...]:
@@ -235,22 +223,21 @@ class JointAccumulator:
         """Add all pixels of an image whose noise is correlated; see `InformationAccumulator.add_coupled`."""
         self._parts[frozenset()].add_coupled(batch_values, noise, pixels)
 
-    def information(
-        self, *, variable: str, pose: ArrayLike, length_scale: float, selection: PixelSelection
-    ) -> JointInformation:
+    def information(self, linearisation: Linearisation) -> JointInformation:
         """The joint information of everything added so far, with nothing decided of any nuisance.
 
+        Args:
+            linearisation: what it is about, in the camera frame.
+
         Raises:
+            FrameError: it is in another frame.
             PixelsError: as `InformationAccumulator.information`.
         """
         return JointInformation(
-            sums={subset: part.sums(selection) for subset, part in self._parts.items()},
+            sums={subset: part.sums(linearisation.selection) for subset, part in self._parts.items()},
             parameters=tuple(name for name in self._parameters if name not in self._local),
             per_tile=tuple(self._local),
-            variable=variable,
-            pose=se3.as_pose(pose),
-            length_scale=length_scale,
-            selection=selection,
+            linearisation=linearisation,
         )
 
     def _add_tile(self, values: Array, weights: Array, pixels: NDArray[Any], index: NDArray[np.intp]) -> None:
@@ -288,12 +275,7 @@ def joint_information(
         coupled=as_noise_model(noise).couples_pixels,
     )
     sum_image(accumulator, camera, noise, mean)
-    return accumulator.information(
-        variable=camera.variable,
-        pose=camera.pose,
-        length_scale=camera.length_scale,
-        selection=camera.selection,
-    )
+    return accumulator.information(camera.linearisation)
 
 
 def tile_side(names: tuple[str, ...], *, sampled: bool) -> int | None:

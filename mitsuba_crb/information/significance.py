@@ -14,7 +14,7 @@ from ..errors import FusionError
 from ..se3 import Array
 from .fisher import FisherInformation
 from .identifiability import Identifiability, identify
-from .image_jacobian import PixelSelection
+from .linearisation import Linearisation, PixelSelection
 from .symmetric import congruence, symmetrised, unpack
 
 NEGATIVE = 4.0
@@ -29,11 +29,13 @@ def no_information(*, variable: str, pose: ArrayLike, length_scale: float = 1.0)
     return FisherInformation(
         matrix=np.zeros((6, 6)),
         covariance_of_entries=np.zeros((21, 21)),
-        frame="camera",
-        variable=variable,
-        pose=np.asarray(pose, dtype=np.float64),
-        length_scale=length_scale,
-        selection=PixelSelection("only", 0, 0, "none"),
+        linearisation=Linearisation(
+            variable=variable,
+            frame="camera",
+            pose=np.asarray(pose, dtype=np.float64),
+            length_scale=length_scale,
+            selection=PixelSelection("only", 0, 0, "none"),
+        ),
     )
 
 

@@ -20,7 +20,7 @@ from scipy import ndimage
 from ..errors import PixelsError
 from ..files import read_grey
 from .blocks import BLOCK, in_squares
-from .image_jacobian import PixelSelection
+from .linearisation import PixelSelection
 
 
 def everything(size: tuple[int, int]) -> PixelSelection:

@@ -96,9 +96,8 @@ def prior_average(
         informations[0].to_frame("camera"),
         matrix=np.mean(moved, axis=0),
         covariance_of_entries=spread,
-        pose=se3.as_pose(mean_pose),
         plain_matrix=None,
-    )
+    ).about(pose=mean_pose)
 
 
 def right_jacobian(twist: ArrayLike) -> Array:

@@ -17,7 +17,7 @@ from .. import se3
 from ..bound.hcr import HCRBound, axis_displacements, hammersley_chapman_robbins
 from ..errors import NoiseError, OptionError, RadianceError
 from ..information.accumulate import InformationAccumulator
-from ..information.image_jacobian import PixelSelection
+from ..information.linearisation import PixelSelection
 from ..information.ustatistic import gram, square_root, whiten
 from ..noise import Gaussian, NoiseModel, PerChannel, PerPixel
 from ..render.lending import in_turn
@@ -73,13 +73,7 @@ def hcr_bound(
             weights = model.weights(part.pixels, part.mean)
             local.add(part.batch_values, weights, part.pixels)
             sums.add(part.batch_values, _changes(run, part.pixels, xi), part.mean, weights, part.pixels)
-        information = local.information(
-            frame="camera",
-            variable=run.view.variable,
-            pose=run.view.pose,
-            length_scale=run.length_scale,
-            selection=run.selection,
-        )
+        information = local.information(run.linearisation)
         inner, cross, errors, floor = sums.result(run.selection)
     return hammersley_chapman_robbins(information, xi, inner, cross, standard_error=errors, floor=floor)
 

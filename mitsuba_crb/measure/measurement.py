@@ -24,8 +24,9 @@ from ..errors import BlindSpotWarning, NoiseError, OptionError, PrecisionWarning
 from ..information import subset
 from ..information.accumulate import Accumulator, as_noise_model
 from ..information.fisher import FisherInformation
-from ..information.image_jacobian import ImageJacobian, PixelSelection
+from ..information.image_jacobian import ImageJacobian
 from ..information.joint import JointAccumulator, JointInformation, tile_side
+from ..information.linearisation import Linearisation, PixelSelection
 from ..jacobian.method import Estimates, Method, Paths, Tile
 from ..noise import CoupledNoise, Gaussian, NoiseModel
 from ..render import llvm
@@ -62,6 +63,17 @@ class Measurement:
     """(H, W), the pixels to measure."""
     selection: PixelSelection
     """What they stand for."""
+
+    @property
+    def linearisation(self) -> Linearisation:
+        """What is measured, in the camera frame."""
+        return Linearisation(
+            variable=self.view.variable,
+            frame="camera",
+            pose=self.view.pose,
+            length_scale=self.length_scale,
+            selection=self.selection,
+        )
 
     @property
     def paths(self) -> Paths:
@@ -194,11 +206,7 @@ class Measurement:
             batch_values=values if measured[self.mask].all() else values[:, measured[self.mask]],
             pixels=subset.selected(measured),
             image=image,
-            frame="camera",
-            pose=self.view.pose,
-            selection=self.selection,
-            length_scale=self.length_scale,
-            variable=self.view.variable,
+            linearisation=self.linearisation,
             block=self.block,
             parameters=self.parameters,
             pilot=expected if pilot else None,
@@ -234,12 +242,7 @@ class Measurement:
             coupled=noise.couples_pixels,
         )
         self.sum_into(accumulator, noise)
-        return accumulator.information(
-            variable=self.view.variable,
-            pose=self.view.pose,
-            length_scale=self.length_scale,
-            selection=self.selection,
-        )
+        return accumulator.information(self.linearisation)
 
     def tiles(self, *, pilot: bool = False) -> Iterator[TileJacobian]:
         """The Jacobian, one tile after the other.

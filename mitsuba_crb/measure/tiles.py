@@ -71,7 +71,7 @@ def tile_information(
         for part in run.tiles(pilot=model.depends_on_mean):
             grid.add(part.batch_values, model.weights(part.pixels, part.expected), part.pixels)
         select, report = grid.halves(
-            np.repeat([run.length_scale, 1.0], 3),
+            run.linearisation.scale,
             factor=run.selection.total / run.selection.selected if sampled else 1.0,
         )
         return TileInformation(
@@ -80,7 +80,5 @@ def tile_information(
             select=select,
             report=report,
             cost_bytes=np.full(len(select), cost),
-            variable=variable,
-            pose=run.view.pose,
-            length_scale=run.length_scale,
+            linearisation=run.linearisation,
         )

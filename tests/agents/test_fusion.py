@@ -416,11 +416,11 @@ class TestBadInput:
         with pytest.raises(FrameError):
             a + b
         with pytest.raises(FrameError):
-            a + dataclasses.replace(b, variable="a")
+            a + b.about(variable="a")
         with pytest.raises(FrameError):
-            a + dataclasses.replace(a, frame="world")
+            a + a.about(frame="world")
         with pytest.raises(FrameError, match="unknown frame"):
-            dataclasses.replace(a, frame="body")
+            a.about(frame="body")
 
     def test_the_bound_of_the_rig_is_the_body_s(self):
         rig = Rig(24)

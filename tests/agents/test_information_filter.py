@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from itertools import permutations
 
 import numpy as np
@@ -245,7 +244,7 @@ class TestPrediction:
         with pytest.raises(FrameError):
             moved.receive(traffic.messages[6])
         F = definite(np.random.default_rng(19))
-        now = dataclasses.replace(_body(F), pose=moved.information.pose)
+        now = _body(F, pose=moved.information.pose)
         before = moved.information.matrix
         moved.receive(encode(now, agent="b", sequence=1))
         assert np.linalg.eigvalsh(moved.information.matrix - before)[0] > 0.0

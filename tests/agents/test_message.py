@@ -12,6 +12,7 @@ import zlib
 
 import numpy as np
 import pytest
+from rigs import made
 
 from mitsuba_crb import se3
 from mitsuba_crb.agents.entry_noise import noise_bound
@@ -19,8 +20,7 @@ from mitsuba_crb.agents.message import decode, encode, message_size
 from mitsuba_crb.agents.quantisation import FORMS, UNIT_ROUNDOFF, kept_fraction, quantise
 from mitsuba_crb.bound.cramer_rao import cramer_rao_bound
 from mitsuba_crb.errors import FrameError, MessageError
-from mitsuba_crb.information.fisher import FisherInformation
-from mitsuba_crb.information.image_jacobian import PixelSelection
+from mitsuba_crb.information.linearisation import PixelSelection
 from mitsuba_crb.information.symmetric import congruence, pack
 
 POSE = se3.exp([1.0, -2.0, 0.5, 0.4, -0.3, 0.8])
@@ -73,11 +73,7 @@ def _scaled(quantised, matrix):
 
 
 def _made(matrix, covariance=None, **changes):
-    fields = {"frame": "camera", "variable": "camera", "pose": POSE, "length_scale": 2.0}
-    covariance = np.zeros((21, 21)) if covariance is None else covariance
-    return FisherInformation(
-        matrix, covariance, selection=PixelSelection("all", 100, 100, "all"), **(fields | changes)
-    )
+    return made(matrix, covariance, **({"pose": POSE} | changes))
 
 
 def _some_covariance(rng, size=1.0):
@@ -281,8 +277,10 @@ class TestBytes:
     @pytest.mark.parametrize(("form", "precision"), COMBINATIONS)
     def test_everything_comes_back(self, form, precision):
         rng = np.random.default_rng(14)
-        information = dataclasses.replace(
-            _made(_definite(rng, 100.0), _some_covariance(rng), frame="camera", variable="rig αβ"),
+        information = _made(
+            _definite(rng, 100.0),
+            _some_covariance(rng),
+            variable="rig αβ",
             selection=PixelSelection("random", 4000, 400, "random:0.1"),
         ).to_frame("world")
         tile = (16, 32, 64, 8)
@@ -423,7 +421,7 @@ class TestDelta:
         with pytest.raises(MessageError, match="the base is about"):
             encode(second, agent="b", sequence=2, base=base)
         with pytest.raises(FrameError):
-            encode(dataclasses.replace(second, variable="other"), agent="a", sequence=2, base=base)
+            encode(second.about(variable="other"), agent="a", sequence=2, base=base)
 
 
 class TestBadInput:
@@ -456,7 +454,7 @@ class TestBadInput:
             encode(_made(np.eye(6), pose=pose), agent="a", sequence=1)
         selection = PixelSelection("all", 2**32, 2**32, "all")
         with pytest.raises(MessageError, match="pixels"):
-            encode(dataclasses.replace(_made(np.eye(6)), selection=selection), agent="a", sequence=1)
+            encode(_made(np.eye(6), selection=selection), agent="a", sequence=1)
 
     def test_corrupt_messages_are_named(self):
         data = encode(_made(np.eye(6)), agent="a", sequence=1)

@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 import pytest
+from rigs import about
 from scipy.optimize import linprog
 
 from mitsuba_crb.agents.greedy import choose, greedy
@@ -369,9 +370,7 @@ def agent_of(select, report=None, /, *, name="robot0", cost=None, **fields) -> T
         "select": select,
         "report": select if report is None else report,
         "cost_bytes": np.full(n, 100) if cost is None else cost,
-        "variable": "body",
-        "pose": np.eye(4),
-        "length_scale": 1.0,
+        "linearisation": about(variable="body", length_scale=1.0),
     }
     return TileInformation(**(values | fields))
 
@@ -511,12 +510,12 @@ def test_agents_that_do_not_belong_together_are_refused():
     with pytest.raises(SelectionError, match="'robot0' occurs twice"):
         select_tiles([agent_of(tile), agent_of(tile)], Budget(tiles=1))
     for fields, message in (
-        ({"variable": "drone"}, "about 'drone'"),
+        ({"variable": "drone"}, "tiles of 'robot0' and 'robot1' about 'body' and about 'drone'"),
         ({"length_scale": 2.0}, "length scale"),
         ({"pose": moved}, "different poses"),
     ):
         with pytest.raises(FrameError, match=message):
-            select_tiles([agent_of(tile), agent_of(tile, name="robot1", **fields)], Budget(tiles=1))
+            select_tiles([agent_of(tile), agent_of(tile, name="robot1").about(**fields)], Budget(tiles=1))
 
 
 @pytest.mark.parametrize(
@@ -555,7 +554,6 @@ def test_a_budget_for_an_unknown_agent_names_the_near_one():
         ({"tiles": [[0, 0, 0, 16]]}, "no width"),
         ({"tiles": [[0, 0]]}, "shape"),
         ({"tiles": [[0], [0, 1]]}, "no array"),
-        ({"length_scale": 0.0}, "length scale"),
     ],
 )
 def test_malformed_tiles_are_refused(fields, message):

@@ -6,21 +6,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rigs import made
 from scipy import stats
 
 from mitsuba_crb import se3
 from mitsuba_crb.bound.consistency import LEVELS, consistency, wishart_band
 from mitsuba_crb.errors import TrialError
 from mitsuba_crb.information.fisher import FisherInformation
-from mitsuba_crb.information.image_jacobian import PixelSelection
 
 POSE = se3.exp([5.0, -3.0, 2.0, 0.3, 1.0, -0.5])
 
 
 def _information(rng: Any) -> FisherInformation:
     root = (rng.standard_normal((6, 6)) + 4.0 * np.eye(6)) * np.array([3.0, 3.0, 3.0, 100.0, 100.0, 100.0])
-    everything = PixelSelection("all", 1, 1, "all")
-    return FisherInformation(root.T @ root, np.zeros((21, 21)), "camera", "c", POSE, 2.5, everything)
+    return made(root.T @ root, pose=POSE, length_scale=2.5)
 
 
 def _errors(rng: Any, information: FisherInformation, n: int, scale: float = 1.0) -> Any:
@@ -109,8 +108,6 @@ def test_too_few_errors_and_unseen_directions_are_refused() -> None:
     information = _information(rng)
     with pytest.raises(TrialError, match="at least 7"):
         consistency(_errors(rng, information, 6), information)
-    flat = FisherInformation(
-        np.diag([1.0, 1, 1, 1, 1, 0]), np.zeros((21, 21)), "camera", "c", POSE, 1.0, information.selection
-    )
+    flat = made(np.diag([1.0, 1, 1, 1, 1, 0]), pose=POSE)
     with pytest.raises(TrialError, match="not positive definite"):
         consistency(rng.standard_normal((50, 6)), flat)

@@ -11,14 +11,13 @@ import json
 import numpy as np
 import pytest
 from matrices import misfit
+from rigs import made
 from scipy.spatial.transform import Rotation
 
 from mitsuba_crb import se3
 from mitsuba_crb.bound.coordinates import NAMES, coordinates_of, to_coordinates
 from mitsuba_crb.bound.cramer_rao import cramer_rao_bound
 from mitsuba_crb.errors import CoordinatesError
-from mitsuba_crb.information.fisher import FisherInformation
-from mitsuba_crb.information.image_jacobian import PixelSelection
 
 POSE = se3.exp([1.0, -2.0, 0.5, 0.4, -0.3, 0.8])
 POINTS = np.random.default_rng(0).uniform([-2, -2, 3], [2, 2, 8], (12, 3)) @ POSE[:3, :3].T + POSE[:3, 3]
@@ -31,9 +30,7 @@ CHARTS = [*((name, "ZYX") for name in NAMES), *(("euler", sequence) for sequence
 
 
 def _information(matrix, pose=POSE, covariance=None):
-    covariance = np.zeros((21, 21)) if covariance is None else covariance
-    selection = PixelSelection("all", 1, 1, "all")
-    return FisherInformation(matrix, covariance, "camera", "camera", pose, 1.0, selection)
+    return made(matrix, covariance, pose=pose, length_scale=1.0)
 
 
 def _project(pose):

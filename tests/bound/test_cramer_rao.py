@@ -13,33 +13,23 @@ from typing import ClassVar
 import numpy as np
 import pytest
 from matrices import misfit
+from rigs import about, made
 from scipy.spatial.transform import Rotation
 
 from mitsuba_crb import se3
 from mitsuba_crb.bound.cramer_rao import cramer_rao_bound
 from mitsuba_crb.errors import FrameError, OptionError, PrecisionWarning
 from mitsuba_crb.information.accumulate import InformationAccumulator
-from mitsuba_crb.information.fisher import FisherInformation
 from mitsuba_crb.information.identifiability import identify
-from mitsuba_crb.information.image_jacobian import PixelSelection
+from mitsuba_crb.information.linearisation import PixelSelection
 from mitsuba_crb.information.symmetric import pack, unpack
 
 POSE = se3.exp([1.0, -2.0, 0.5, 0.4, -0.3, 0.8])
-SELECTION = PixelSelection("all", 100, 100, "all")
 R = POSE[:3, :3]
 
 
 def _information(matrix, covariance=None, **changes):
-    fields = {
-        "frame": "camera",
-        "variable": "camera",
-        "pose": POSE,
-        "length_scale": 1.0,
-        "selection": SELECTION,
-    }
-    return FisherInformation(
-        matrix, np.zeros((21, 21)) if covariance is None else covariance, **(fields | changes)
-    )
+    return made(matrix, covariance, **({"pose": POSE, "length_scale": 1.0} | changes))
 
 
 def _random(seed, rank=6, strength=1e4):
@@ -61,13 +51,8 @@ def _noisy(J, noise, rng, *, pose=POSE, length_scale=1.0):
     accumulator = InformationAccumulator(batches=4)
     values = J + noise * rng.normal(size=(4, *J.shape))
     accumulator.add(values, np.ones(J.shape[:2]), np.stack([np.arange(n), np.zeros(n, int)], axis=1))
-    return accumulator.information(
-        frame="camera",
-        variable="camera",
-        pose=pose,
-        length_scale=length_scale,
-        selection=PixelSelection("all", n, n, "all"),
-    )
+    selection = PixelSelection("all", n, n, "all")
+    return accumulator.information(about(pose=pose, length_scale=length_scale, selection=selection))
 
 
 def _quietly(information, **options):
@@ -167,9 +152,7 @@ class TestFrames:
             metres,
             matrix=scale @ metres.matrix @ scale,
             covariance_of_entries=T @ metres.covariance_of_entries @ T.T,
-            pose=pose,
-            length_scale=200.0,
-        )
+        ).about(pose=pose, length_scale=200.0)
         a, b = _quietly(metres), _quietly(centimetres)
         assert a.rank == b.rank == 5
         np.testing.assert_allclose(b.position_std, 100.0 * a.position_std, rtol=1e-9)

@@ -11,13 +11,12 @@ import json
 import numpy as np
 import pytest
 from matrices import misfit
+from rigs import made
 
 from mitsuba_crb import se3
 from mitsuba_crb.bound.hcr import axis_displacements, chapman_robbins, hammersley_chapman_robbins
 from mitsuba_crb.camera import Camera
 from mitsuba_crb.errors import OptionError
-from mitsuba_crb.information.fisher import FisherInformation
-from mitsuba_crb.information.image_jacobian import PixelSelection
 
 RNG = np.random.default_rng(5)
 WAVES, PHASES = RNG.normal(size=(60, 6)), RNG.uniform(0, 2 * np.pi, 60)
@@ -35,8 +34,7 @@ def _moments(waves, displacements, sigma):
 
 
 def _information(F, pose=POSE):
-    selection = PixelSelection("all", 1, 1, "all")
-    return FisherInformation(F, np.zeros((21, 21)), "camera", "camera", pose, 1.0, selection)
+    return made(F, pose=pose, length_scale=1.0)
 
 
 def _bound(waves, displacements, sigma, **options):

@@ -16,7 +16,7 @@ from mitsuba_crb.errors import AlignmentError, NoiseError, RadianceError
 from mitsuba_crb.estimate.align import Alignment, align
 from mitsuba_crb.estimate.misfit import Anchor
 from mitsuba_crb.estimate.trials import validate
-from mitsuba_crb.information.image_jacobian import PixelSelection
+from mitsuba_crb.information.linearisation import PixelSelection
 from mitsuba_crb.information.subset import selected
 from mitsuba_crb.measure.measurement import measurement
 from mitsuba_crb.noise import SRGB, ColourBlocks, Gaussian, PerPixel, PoissonGaussian, Sensor

@@ -14,7 +14,7 @@ from mitsuba_crb import noise
 from mitsuba_crb.errors import NoiseError
 from mitsuba_crb.information.accumulate import InformationAccumulator
 from mitsuba_crb.information.coupled import CoupledComponents, ordered_products
-from mitsuba_crb.information.image_jacobian import PixelSelection
+from mitsuba_crb.information.linearisation import PixelSelection
 from mitsuba_crb.information.symmetric import pack, symmetrised
 from mitsuba_crb.information.ustatistic import VarianceComponents
 

@@ -13,13 +13,14 @@ from itertools import combinations, pairwise, permutations
 import numpy as np
 import pytest
 from matrices import misfit
+from rigs import about, made
 
 from mitsuba_crb import noise, se3
 from mitsuba_crb.errors import FrameError, NoiseError, OptionError, PixelsError, RadianceError
 from mitsuba_crb.information.accumulate import InformationAccumulator, fisher_information
 from mitsuba_crb.information.blocks import BLOCK, in_squares
-from mitsuba_crb.information.fisher import FisherInformation
-from mitsuba_crb.information.image_jacobian import ImageJacobian, PixelSelection
+from mitsuba_crb.information.image_jacobian import ImageJacobian
+from mitsuba_crb.information.linearisation import PixelSelection
 from mitsuba_crb.information.symmetric import congruence, pack, positive_part, triangle, unpack
 from mitsuba_crb.information.ustatistic import (
     VarianceComponents,
@@ -48,13 +49,8 @@ def _information(
 ):
     accumulator = InformationAccumulator(batches=len(values), block=block, sampled=sampled)
     accumulator.add(values, weights, pixels)
-    return accumulator.information(
-        frame=frame,
-        variable="camera",
-        pose=pose,
-        length_scale=2.0,
-        selection=selection or _selection("all", len(pixels)),
-    )
+    selection = selection or _selection("all", len(pixels))
+    return accumulator.information(about(frame=frame, pose=pose, selection=selection))
 
 
 def _truth(J, weights):
@@ -62,9 +58,7 @@ def _truth(J, weights):
 
 
 def _made(matrix, covariance=None, **changes):
-    fields = {"frame": "camera", "variable": "camera", "pose": POSE, "length_scale": 2.0}
-    covariance = np.zeros((21, 21)) if covariance is None else covariance
-    return FisherInformation(matrix, covariance, selection=_selection("all", 10), **(fields | changes))
+    return made(matrix, covariance, **({"pose": POSE, "selection": _selection("all", 10)} | changes))
 
 
 class Simulation:
@@ -281,9 +275,7 @@ class TestTiles:
         for t in rng.permutation(np.unique(tiles)):
             index = rng.permutation(np.flatnonzero(tiles == t))
             accumulator.add(values[:, index], sim.weights[index], sim.pixels[index])
-        tiled = accumulator.information(
-            frame="camera", variable="c", pose=POSE, length_scale=1.0, selection=_selection("all", 3500)
-        )
+        tiled = accumulator.information(about(selection=_selection("all", 3500)))
         assert misfit(tiled.matrix, whole.matrix) < 1e-12
         assert misfit(tiled.plain_matrix, whole.plain_matrix) < 1e-12
         tolerance = 1e-10 * np.abs(whole.covariance_of_entries).max()
@@ -471,9 +463,8 @@ class PlaneView:
         image = np.empty((24, 32, 3))
         x, y = self.pixels.T
         image[y, x] = 0.5
-        return ImageJacobian(
-            values, self.pixels, image, frame, self.pose, _selection("all", 768), 3.0, "camera", block=block
-        )
+        linearisation = about(frame=frame, pose=self.pose, length_scale=3.0, selection=_selection("all", 768))
+        return ImageJacobian(values, self.pixels, image, block, linearisation=linearisation)
 
 
 class TestFrames:
@@ -606,11 +597,10 @@ class TestAddition:
         assert (_made(np.eye(6)) + _made(np.eye(6), pose=nearby)).matrix[0, 0] == 2.0
 
 
-def _jacobian(sim, values, **changes):
+def _jacobian(sim, values, block=1):
     height, width = sim.pixels[-1, ::-1] + 1
-    fields = {"frame": "camera", "pose": POSE, "selection": _selection("all", height * width)}
-    fields |= {"length_scale": 2.0, "variable": "camera"}
-    return ImageJacobian(values, sim.pixels, np.ones((height, width, 3)), **(fields | changes))
+    linearisation = about(pose=POSE, selection=_selection("all", height * width))
+    return ImageJacobian(values, sim.pixels, np.ones((height, width, 3)), block, linearisation=linearisation)
 
 
 class TestDifference:
@@ -658,19 +648,24 @@ class TestDifference:
         assert np.median(np.mean(narrow, axis=0) / sample) < 0.5
 
     @pytest.mark.parametrize(
-        ("changes", "error", "message"),
+        ("changes", "message"),
         [
-            ({"variable": "other"}, FrameError, "about 'camera' and about 'other'"),
-            ({"frame": "world"}, FrameError, "camera and in the world frame"),
-            ({"pose": FAR}, FrameError, "two different poses"),
-            ({"parameters": ("gain",)}, OptionError, "the same batches and nuisances"),
+            ({"variable": "other"}, "about 'camera' and about 'other'"),
+            ({"frame": "world"}, "camera and in the world frame"),
+            ({"pose": FAR}, "two different poses"),
         ],
     )
-    def test_mixing_is_refused(self, changes, error, message):
+    def test_mixing_is_refused(self, changes, message):
         sim = Simulation(4, 4)
         a = _jacobian(sim, sim.draw())
-        with pytest.raises(error, match=message):
-            a - dataclasses.replace(a, **changes)
+        with pytest.raises(FrameError, match=f"subtract derivatives .*{message}"):
+            a - a.about(**changes)
+
+    def test_other_batches_and_nuisances_are_refused(self):
+        sim = Simulation(4, 4)
+        a = _jacobian(sim, sim.draw())
+        with pytest.raises(OptionError, match="the same batches and nuisances"):
+            a - dataclasses.replace(a, parameters=("gain",))
         with pytest.raises(OptionError, match="the same batches"):
             a - dataclasses.replace(a, batch_values=np.repeat(a.batch_values, 2, axis=0))
         with pytest.raises(TypeError):
@@ -698,8 +693,7 @@ class TestFisherInformation:
             jacobian,
             batch_values=jacobian.batch_values[:, kept],
             pixels=jacobian.pixels[kept],
-            selection=_selection("only", 768, 758),
-        )
+        ).about(selection=_selection("only", 768, 758))
         np.testing.assert_allclose(
             fisher_information(jacobian, noise.PerPixel(variance)).matrix,
             fisher_information(without, noise.Gaussian(0.1)).matrix,
@@ -730,13 +724,9 @@ class TestFisherInformation:
         with pytest.raises(ValueError, match="read-only"):
             information.matrix[0, 0] = 2.0
 
-    @pytest.mark.parametrize(
-        "changes",
-        [{"length_scale": 0.0}, {"length_scale": np.nan}, {"pose": np.eye(3)}, {"plain_matrix": np.eye(5)}],
-    )
-    def test_malformed_fields_are_refused(self, changes):
-        with pytest.raises(FrameError):
-            _made(np.eye(6), **changes)
+    def test_malformed_matrices_are_refused(self):
+        with pytest.raises(FrameError, match="plain_matrix must be a finite array"):
+            _made(np.eye(6), plain_matrix=np.eye(5))
         with pytest.raises(FrameError, match="matrix must be a finite array"):
             _made(np.full((6, 6), np.nan))
 
@@ -785,13 +775,13 @@ class TestBadInput:
             self._add(pixels=np.zeros((16, 2), int))
 
     def test_nothing_measured_and_more_than_selected(self):
-        empty = {"frame": "camera", "variable": "c", "pose": POSE, "length_scale": 1.0}
+        four = about(selection=_selection("all", 4))
         with pytest.raises(PixelsError, match="no pixels"):
-            InformationAccumulator(batches=4).information(**empty, selection=_selection("all", 4))
+            InformationAccumulator(batches=4).information(four)
         accumulator = InformationAccumulator(batches=4)
         accumulator.add(np.zeros((4, 0, 3, 6)), np.zeros((0, 3)), np.zeros((0, 2), int))
         with pytest.raises(PixelsError, match="no pixels"):
-            accumulator.information(**empty, selection=_selection("all", 4))
+            accumulator.information(four)
         sim = Simulation(4, 4)
         with pytest.raises(PixelsError, match="16 pixels were added, 4 selected"):
             _information(sim.draw(), sim.weights, sim.pixels, selection=_selection("only", 16, 4))

@@ -7,12 +7,13 @@ from itertools import pairwise, permutations
 import numpy as np
 import pytest
 from matrices import misfit
+from rigs import about
 
 from mitsuba_crb.errors import NoiseError, NuisanceError, OptionError, PixelsError
 from mitsuba_crb.information.accumulate import InformationAccumulator
 from mitsuba_crb.information.blocks import BLOCK
-from mitsuba_crb.information.image_jacobian import PixelSelection
 from mitsuba_crb.information.joint import JointAccumulator
+from mitsuba_crb.information.linearisation import PixelSelection
 from mitsuba_crb.information.symmetric import pack
 
 ALL = PixelSelection("all", 16 * 32, 16 * 32, "all")
@@ -93,7 +94,7 @@ class TestMoreColumns:
 def _joint(view: Columns, names: tuple[str, ...], values=None, **options):
     accumulator = JointAccumulator(names, batches=view.batches, **options)
     accumulator.add(view.draw() if values is None else values, view.weights, view.pixels)
-    return accumulator.information(variable="camera", pose=np.eye(4), length_scale=2.0, selection=ALL)
+    return accumulator.information(about(selection=ALL))
 
 
 def _schur(matrix, unknown):
@@ -262,12 +263,7 @@ class TestPerTile:
         parts = [~right & kept, right & kept] if case == "none in a call" else [kept]
         for part in parts:
             accumulator.add(values[:, part], view.weights[part], view.pixels[part])
-        joint = accumulator.information(
-            variable="camera",
-            pose=np.eye(4),
-            length_scale=2.0,
-            selection=PixelSelection("only", 512, 512, ""),
-        )
+        joint = accumulator.information(about(selection=PixelSelection("only", 512, 512, "")))
         columns = [view.J[..., k] * side[:, None] for k in (6, 7) for side in (right, ~right)]
         J = np.concatenate([view.J[..., :6], np.stack(columns, axis=-1)], axis=-1)[kept]
         whole = np.einsum("nci,nc,ncj->ij", J, view.weights[kept], J)
@@ -283,7 +279,7 @@ class TestPerTile:
         accumulator = JointAccumulator(("gain:16",), batches=4)
         accumulator.add(view.draw(), 0.0 * view.weights, view.pixels)
         with pytest.raises(NoiseError, match="no information in any of 512 pixels"):
-            accumulator.information(variable="camera", pose=np.eye(4), length_scale=2.0, selection=ALL)
+            accumulator.information(about(selection=ALL))
 
     def test_a_random_subset_is_refused_by_name(self):
         with pytest.raises(OptionError, match=r"gain:8, black:8 with random:f pixels.*a mask or gradient:f"):
@@ -300,9 +296,7 @@ class TestPerTile:
         def cost(index):
             accumulator = JointAccumulator((name,), batches=4)
             accumulator.add(values[:, index], view.weights[index], view.pixels[index])
-            joint = accumulator.information(
-                variable="camera", pose=np.eye(4), length_scale=2.0, selection=ALL
-            )
+            joint = accumulator.information(about(selection=ALL))
             lost = joint.fix().information.matrix - joint.marginalize().information.matrix
             return np.trace(lost) * 512 / len(index)
 

@@ -138,7 +138,7 @@ def test_camera_frame_information_moves_to_the_world_like_left_perturbations() -
                 for xi in (twist, -twist)
             )
             columns.append((plus - minus) / (2 * step))
-    left = dataclasses.replace(right, batch_values=np.stack(columns, axis=-1), frame="world")
+    left = dataclasses.replace(right, batch_values=np.stack(columns, axis=-1)).about(frame="world")
     direct = fisher_information(left, SIGMA).matrix
     assert misfit(transported, direct) < 0.01
     # Negative control: the camera-frame matrix is another one.

@@ -17,8 +17,9 @@ from scipy.linalg import eigvalsh, expm
 from mitsuba_crb import se3
 from mitsuba_crb.agents.bundle import PointView, point_information
 from mitsuba_crb.camera import Camera
-from mitsuba_crb.information.image_jacobian import ImageJacobian, PixelSelection
+from mitsuba_crb.information.image_jacobian import ImageJacobian
 from mitsuba_crb.information.joint import joint_information
+from mitsuba_crb.information.linearisation import Linearisation, PixelSelection
 from mitsuba_crb.noise import Gaussian
 
 SIZE = (160, 120)
@@ -57,11 +58,13 @@ def image_jacobian(points, gains, width):
         batch_values=np.broadcast_to(values, (4, *values.shape)),
         pixels=PIXELS,
         image=(shapes @ gains).reshape(SIZE[1], SIZE[0], 1),
-        frame="camera",
-        pose=np.eye(4),
-        selection=PixelSelection("all", len(PIXELS), len(PIXELS), "all"),
-        length_scale=float(np.median(points[:, 2])),
-        variable="camera",
+        linearisation=Linearisation(
+            variable="camera",
+            frame="camera",
+            pose=np.eye(4),
+            length_scale=float(np.median(points[:, 2])),
+            selection=PixelSelection("all", len(PIXELS), len(PIXELS), "all"),
+        ),
         block=16,
         parameters=tuple(f"gain {k}" for k in range(len(points))),
     )

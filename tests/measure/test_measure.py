@@ -17,8 +17,8 @@ from small_scenes import T, camera, scene, texture, textured_wall, wall
 from mitsuba_crb import cramer_rao_bound, fisher_information, pose_bound, pose_jacobian, se3
 from mitsuba_crb.errors import BlindSpotWarning, NoiseError, OptionError, PixelsError, RadianceError
 from mitsuba_crb.information.blocks import BLOCK
-from mitsuba_crb.information.image_jacobian import PixelSelection
 from mitsuba_crb.information.joint import joint_information
+from mitsuba_crb.information.linearisation import PixelSelection
 from mitsuba_crb.information.subset import tiles
 from mitsuba_crb.jacobian.lint import precision_findings
 from mitsuba_crb.measure.measurement import measurement, versions

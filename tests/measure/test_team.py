@@ -33,7 +33,8 @@ from mitsuba_crb.errors import (
     SensorError,
     WorkerError,
 )
-from mitsuba_crb.information.image_jacobian import ImageJacobian, PixelSelection
+from mitsuba_crb.information.image_jacobian import ImageJacobian
+from mitsuba_crb.information.linearisation import Linearisation, PixelSelection
 from mitsuba_crb.measure import teams as team_measure
 from mitsuba_crb.measure.options import MeasurementOptions
 from mitsuba_crb.measure.teams import fuse_team, select_team
@@ -177,11 +178,13 @@ def test_a_rendered_rig_s_joint_information_is_that_of_its_images_stacked_and_mo
             batch_values=values,
             pixels=np.stack([np.arange(count), np.zeros(count, int)], axis=1),
             image=np.zeros((1, count, 3)),
-            frame="camera",
-            pose=world_from_body,
-            selection=PixelSelection("all", count, count, "all"),
-            length_scale=3.0,
-            variable="rig",
+            linearisation=Linearisation(
+                variable="rig",
+                frame="camera",
+                pose=world_from_body,
+                length_scale=3.0,
+                selection=PixelSelection("all", count, count, "all"),
+            ),
         ),
         sigma,
     )

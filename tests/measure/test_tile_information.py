@@ -96,7 +96,7 @@ def test_the_cost_is_the_size_of_the_message() -> None:
     assert found.cost_bytes.tolist() == [
         message_size(agent="robot é", variable="body", form="sketch", precision="float16", rank=2)
     ] * len(found.tiles)
-    information = dataclasses.replace(pose_bound(textured_wall(), SIGMA, **FAST).information, variable="body")
+    information = pose_bound(textured_wall(), SIGMA, **FAST).information.about(variable="body")
     data = encode(
         information,
         agent="robot é",
@@ -136,8 +136,7 @@ def test_agents_are_brought_to_one_pose_and_unit() -> None:
     a, b = (tile_information(textured_wall(), SIGMA, agent=name, **FAST) for name in "ab")
     units = np.repeat([2.0, 1.0], 3)
     wider = dataclasses.replace(
-        a,
-        length_scale=2.0 * a.length_scale,
+        a.about(length_scale=2.0 * a.length_scale),
         select=units[:, None] * a.select * units,
         report=units[:, None] * a.report * units,
     )
