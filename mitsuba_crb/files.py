@@ -1,13 +1,15 @@
 """Files: read whole or refused in one line; written whole or not there.
 
 One function reads each kind of contents, and `checked` compares tables with their schema, a `Table`. All of
-them raise the class of error that they are given, with a message that names the file.
+them raise the class of error that they are given, with a message that names the file. `jsonable` says how
+numbers that JSON does not know are written.
 """
 
 from __future__ import annotations
 
 import io
 import json
+import math
 import os
 import reprlib
 import secrets
@@ -228,6 +230,19 @@ def _place(document: Any, steps: Sequence[str | int]) -> list[str]:
 def _near(name: str, known: Iterable[str]) -> str:
     near = get_close_matches(name, known, 1)
     return f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
+
+
+def jsonable(value: Any) -> Any:
+    """What strict JSON can hold: arrays as lists, infinities as "inf" or "-inf", not-a-number as None."""
+    if isinstance(value, Mapping):
+        return {str(key): jsonable(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return jsonable(value.tolist())
+    if isinstance(value, list | tuple):
+        return [jsonable(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else ("inf" if value > 0.0 else "-inf")
+    return str(value) if isinstance(value, Path) else value
 
 
 @contextmanager

@@ -51,8 +51,8 @@ CONVENTIONS: str = (
 TWIST_ORDER = ("ρx", "ρy", "ρz", "φx", "φy", "φz")
 """Order of a twist's six components, and of every 6 x 6 matrix's rows and columns."""
 
-# Scene files carry poses as decimal text and as float32; a larger deviation than this is no rounding.
-_RIGID_TOLERANCE = 1e-4
+# Scene files carry poses as float32 and as text, of three decimals at least; more than this is no rounding.
+_RIGID_TOLERANCE = 1e-3
 _EXACT_TOLERANCE = 1e-12
 
 # Camera axes of OpenCV, GTSAM and COLMAP (x right, y down) seen from Mitsuba's (x left, y up).
@@ -102,12 +102,13 @@ def adjoint(pose: ArrayLike) -> Array:
     return np.block([[rotation, skew(g[:3, 3]) @ rotation], [np.zeros((3, 3)), rotation]])
 
 
-def as_pose(value: ArrayLike | RigidTransform) -> Array:
+def as_pose(value: ArrayLike | RigidTransform, name: str = "the pose") -> Array:
     """A rigid motion as a 4 x 4 float64 matrix, its rotation made orthogonal to float64.
 
     Args:
-        value: a 4 x 4 matrix, or SciPy's `RigidTransform`. Deviations from rigidity up to 1e-4 count as
+        value: a 4 x 4 matrix, or SciPy's `RigidTransform`. Deviations from rigidity up to 1e-3 count as
             rounding (text, float32) and are removed by the polar decomposition.
+        name: what messages call it.
 
     Raises:
         PoseError: wrong shape or type, NaN, a last row other than (0, 0, 0, 1), reflection, scale, shear.
@@ -118,19 +119,20 @@ def as_pose(value: ArrayLike | RigidTransform) -> Array:
         matrix = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise PoseError(
-            f"a pose is a 4 x 4 matrix of numbers or a RigidTransform, not {type(value).__name__} ({error})"
+            f"{name} must be a 4 x 4 matrix of numbers or a RigidTransform, not {type(value).__name__} "
+            f"({error})"
         ) from None
     if matrix.shape != (4, 4):
-        raise PoseError(f"a pose must have shape (4, 4), not {matrix.shape}")
+        raise PoseError(f"{name} must have shape (4, 4), not {matrix.shape}")
     if not np.isfinite(matrix).all():
-        raise PoseError("the pose has entries that are NaN or infinite; give a finite rigid motion")
+        raise PoseError(f"{name} has entries that are NaN or infinite; give a finite rigid motion")
     if not np.allclose(matrix[3], (0.0, 0.0, 0.0, 1.0), rtol=0.0, atol=_EXACT_TOLERANCE):
         raise PoseError(
-            f"the pose's last row is {matrix[3].tolist()}, not (0, 0, 0, 1); is the matrix transposed?"
+            f"{name} has the last row {matrix[3].tolist()}, not (0, 0, 0, 1); is the matrix transposed?"
         )
     left, scales, right = np.linalg.svd(matrix[:3, :3])
     if np.linalg.det(matrix[:3, :3]) < 0.0:
-        raise PoseError("the pose contains a reflection (determinant −1); give a rotation and a translation")
+        raise PoseError(f"{name} contains a reflection (determinant < 0); give a rotation and a translation")
     deviation = float(np.abs(scales - 1.0).max())
     if deviation > _RIGID_TOLERANCE:
         kind = (
@@ -139,7 +141,7 @@ def as_pose(value: ArrayLike | RigidTransform) -> Array:
             else "a shear or unequal scales"
         )
         raise PoseError(
-            f"the pose contains {kind} (singular values {', '.join(f'{s:.6g}' for s in scales)}); "
+            f"{name} contains {kind} (singular values {', '.join(f'{s:.6g}' for s in scales)}); "
             "give a rotation and a translation"
         )
     if deviation > _EXACT_TOLERANCE:
@@ -179,7 +181,7 @@ def pose_from_vector(vector: str | ArrayLike) -> Array:
 
 
 def pose_from_numbers(values: Any) -> Array:
-    """A pose, 4x4, from nested lists of 16 numbers, or from the seven x y z qx qy qz qw.
+    """A pose, 4 x 4, from nested lists of 16 numbers, or from the seven x y z qx qy qz qw.
 
     Raises:
         PoseError: something else, or no rigid motion.

@@ -113,10 +113,10 @@ class TestAsPose:
         np.testing.assert_allclose(se3.as_pose(RigidTransform.from_matrix(POSE)), POSE, atol=1e-15)
 
     def test_rounding_of_float32_and_text_is_removed(self):
-        for rounded in (POSE.astype(np.float32), np.round(POSE, 5)):
+        for rounded in (POSE.astype(np.float32), np.round(POSE, 5), np.round(POSE, 3)):
             rotation = se3.as_pose(rounded)[:3, :3]
             np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-14)
-            np.testing.assert_allclose(rotation, POSE[:3, :3], atol=1e-5)
+            np.testing.assert_allclose(rotation, POSE[:3, :3], atol=1e-3)
             assert np.abs(np.asarray(rounded[:3, :3] @ rounded[:3, :3].T, float) - np.eye(3)).max() > 1e-9
 
     @pytest.mark.parametrize(
@@ -126,6 +126,7 @@ class TestAsPose:
             (np.diag([2.0, 2, 2, 1]), "a scale"),
             (np.diag([1.0, 1.01, 1, 1]), "unequal scales"),
             (np.diag([0.0, 1, 1, 1]), "unequal scales"),
+            (np.diag([1.002, 1.002, 1.002, 1]), "a scale"),
             (POSE[:3], "shape"),
             (np.where(np.eye(4) > 0, np.nan, 0.0), "NaN"),
             (POSE.T, "transposed"),
@@ -136,6 +137,8 @@ class TestAsPose:
     def test_what_is_no_rigid_motion_is_named(self, value, message):
         with pytest.raises(PoseError, match=message):
             se3.as_pose(value)
+        with pytest.raises(PoseError, match="the rig's pose .*" + message):
+            se3.as_pose(value, "the rig's pose")
 
 
 class TestPoseFromVector:

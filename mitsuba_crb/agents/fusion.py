@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike
 
 from .. import se3
 from ..bound.cramer_rao import PoseBound, cramer_rao_bound
-from ..errors import FrameError, FusionError, PoseError
+from ..errors import FrameError, FusionError
 from ..information.fisher import FisherInformation
 from ..information.significance import identified, refuse_negative
 from ..se3 import Array
@@ -56,10 +56,8 @@ class Agent:
     """(4, 4), the agent's pose on the body: g of the paper."""
 
     def __post_init__(self) -> None:
-        try:
-            object.__setattr__(self, "common_from_agent", se3.as_pose(self.common_from_agent))
-        except PoseError as error:
-            raise PoseError(f"the transform of agent {self.name!r}: {error}") from None
+        g = se3.as_pose(self.common_from_agent, f"the transform of agent {self.name!r}")
+        object.__setattr__(self, "common_from_agent", g)
 
     @property
     def world_from_common(self) -> Array:

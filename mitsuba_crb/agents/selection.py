@@ -32,6 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..bound.criteria import OBJECTIVES, Criterion, Trace
 from ..errors import SelectionError
+from ..files import jsonable
 from ..information.symmetric import symmetrised
 from ..se3 import Array
 from .greedy import choose, equal_split, random_choice, top_trace
@@ -100,16 +101,13 @@ class TileSelection:
         return {
             "objective": self.objective,
             "chosen": [{"agent": chosen.agent, "tile": chosen.tile} for chosen in self.chosen],
-            "value": _jsonable(self.value),
-            "value_heldout": _jsonable(self.value_heldout),
-            "value_empty": _jsonable(self.value_empty),
-            "upper_bound": _jsonable(self.upper_bound),
-            "certificate": self.certificate,
+            "value": jsonable(self.value),
+            "value_heldout": jsonable(self.value_heldout),
+            "value_empty": jsonable(self.value_empty),
+            "upper_bound": jsonable(self.upper_bound),
+            "certificate": jsonable(self.certificate),
             "guarantee": self.guarantee,
-            "baselines": {
-                name: {"value": _jsonable(base.value), "value_heldout": _jsonable(base.value_heldout)}
-                for name, base in self.baselines.items()
-            },
+            "baselines": {name: jsonable(vars(base)) for name, base in self.baselines.items()},
             "total_bytes": self.total_bytes,
             "evaluations": self.evaluations,
         }
@@ -261,7 +259,3 @@ def _guarantee(problem: Problem, criterion: Criterion) -> float | None:
     if limits.counts_tiles or np.isfinite(limits.agent_bytes).any():
         return None
     return 0.5 if isinstance(criterion, Trace) else 0.5 * (1.0 - math.exp(-1.0))
-
-
-def _jsonable(number: float) -> float | str:
-    return number if math.isfinite(number) else str(number)

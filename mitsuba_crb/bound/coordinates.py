@@ -25,9 +25,10 @@ from scipy.spatial.transform import Rotation
 
 from .. import se3
 from ..errors import CoordinatesError
+from ..files import jsonable
 from ..information.fisher import FisherInformation
 from ..se3 import Array
-from .cramer_rao import PoseBound, cramer_rao_bound, jsonable
+from .cramer_rao import PoseBound, cramer_rao_bound
 
 NAMES = ("camera", "world", "centre_rotation", "euler", "quaternion", "gtsam", "colmap")
 """Twist in the camera's or the world's frame; camera centre (world axes) with the rotation about the camera's

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from .. import se3
 from ..errors import NuisanceWarning, OptionError, PrecisionWarning
+from ..files import jsonable
 from ..information.fisher import FisherInformation
 from ..information.identifiability import PoseDirection, readable_basis, weakest_direction
 from ..information.joint import JointInformation
@@ -346,14 +347,3 @@ def _with_errors(names: tuple[str, ...], values: Array, errors: Array) -> str:
         for name, value, error in zip(names, values, errors, strict=True)
     )
     return ", ".join(parts)
-
-
-def jsonable(array: ArrayLike) -> Any:
-    """Nested lists: infinities as the string "inf", not-a-number as None."""
-    array = np.asarray(array)
-    if array.ndim == 0:
-        value = float(array)
-        if math.isnan(value):
-            return None
-        return value if math.isfinite(value) else ("inf" if value > 0.0 else "-inf")
-    return [jsonable(entry) for entry in array]

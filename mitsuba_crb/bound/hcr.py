@@ -31,10 +31,11 @@ from numpy.typing import ArrayLike, NDArray
 from .. import se3
 from ..camera import Camera
 from ..errors import OptionError
+from ..files import jsonable
 from ..information.fisher import FisherInformation
 from ..information.identifiability import SMALLEST_SHARE
 from ..se3 import Array
-from .cramer_rao import PoseBound, cramer_rao_bound, jsonable
+from .cramer_rao import PoseBound, cramer_rao_bound
 
 QUANTILE = 2.33
 """Standard errors of a squared distance below which a displaced image counts as the same (99 %)."""

@@ -8,15 +8,12 @@ rendered.
 from __future__ import annotations
 
 import json
-import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from ..files import atomic
+from ..files import atomic, jsonable
 
 if TYPE_CHECKING:
     from ..agents.selection import TileSelection
@@ -81,7 +78,7 @@ def bound_document(bound: PoseBound, hcr: HCRBound | None = None) -> dict[str, A
     }
     if hcr is not None:
         document["hcr"] = hcr.to_dict()
-    plain: dict[str, Any] = _plain(document)
+    plain: dict[str, Any] = jsonable(document)
     return plain
 
 
@@ -102,7 +99,7 @@ def fusion_document(team: Team, result: TeamFusion) -> dict[str, Any]:
         "warnings": result.warnings,
         "versions": result.bounds[0].provenance.get("versions", {}),
     }
-    plain: dict[str, Any] = _plain(document)
+    plain: dict[str, Any] = jsonable(document)
     return plain
 
 
@@ -121,27 +118,13 @@ def selection_document(team: Team, result: TeamSelection) -> dict[str, Any]:
         "curve": [{result.counts: budget, **_worth(other)} for budget, other in result.curve],
         "warnings": result.warnings,
     }
-    plain: dict[str, Any] = _plain(document)
+    plain: dict[str, Any] = jsonable(document)
     return plain
 
 
 def _worth(selection: TileSelection) -> dict[str, Any]:
     values = selection.to_dict()
     return {key: values[key] for key in ("value", "value_heldout", "upper_bound", "baselines")}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
-    return str(value) if isinstance(value, Path) else value
 
 
 def write_json(path: Path, document: Mapping[str, Any]) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
 from ..errors import NoiseError
+from ..files import jsonable
 from .parameters import at_pixels, check_map, positive, variance_map
 from .protocol import Array, ScalarNoise
 
@@ -144,8 +145,8 @@ class PerPixel(IndependentGaussian):
     def to_dict(self) -> dict[str, Any]:
         """Shape and quantiles: the map itself is too large for a report."""
         names = ("sigma_min", "sigma_median", "sigma_max")
-        values = {n: q if np.isfinite(q) else "inf" for n, q in zip(names, self._sigmas(), strict=True)}
-        return {"model": "per_pixel", "shape": list(self.variance.shape), **values}
+        sigmas = jsonable(dict(zip(names, self._sigmas(), strict=True)))
+        return {"model": "per_pixel", "shape": list(self.variance.shape), **sigmas}
 
     def _sigmas(self) -> tuple[float, float, float]:
         """Minimum, (upper) median and maximum; `numpy.quantile` would interpolate between infinities."""

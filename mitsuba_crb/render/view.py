@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
-from ..errors import FilmError, IntegratorError, PoseError, SensorError
+from ..errors import FilmError, IntegratorError, SensorError
 from .lending import at_identity, turns
 from .scene import as_scene, parser_message
 
@@ -140,9 +140,8 @@ def open_view(
         _check_film(camera.film())
         radiance = _find_integrator(loaded, integrator)
         with at_identity(camera, variable, size) as to_world:
-            world_from_camera = (
-                _rigid(to_world, "the sensor's to_world") if pose is None else se3.as_pose(pose)
-            )
+            found = (to_world, "the sensor's to_world") if pose is None else (pose,)
+            world_from_camera = se3.as_pose(*found)
             width, height = camera.film().crop_size()
             size = int(width), int(height)
             yield View(loaded, camera, radiance, world_from_camera, size, variable, label, recorder)
@@ -207,18 +206,3 @@ def _find_integrator(scene: mi.Scene, integrator: Any) -> mi.SamplingIntegrator:
             "that does (integrator='path')"
         )
     return found
-
-
-def _rigid(matrix: NDArray[np.float64], name: str) -> NDArray[np.float64]:
-    """The nearest rigid motion to a float32 one; a scale or reflection is an error."""
-    if not np.isfinite(matrix).all():
-        raise PoseError(f"{name} holds NaN or infinity; give it a rigid motion")
-    u, singular, vt = np.linalg.svd(matrix[:3, :3])
-    if np.linalg.det(matrix[:3, :3]) < 0:
-        raise PoseError(f"{name} is a reflection (determinant < 0); remove the negative scale")
-    if np.max(np.abs(singular - 1.0)) > 1e-3:
-        raise PoseError(f"{name} scales by {np.array2string(singular, precision=4)}; remove the scale")
-    rigid = np.eye(4)
-    rigid[:3, :3] = u @ vt
-    rigid[:3, 3] = matrix[:3, 3]
-    return rigid

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from mitsuba_crb.errors import OutputError
 from mitsuba_crb.export.documents import atomic, bound_document, write_json
 from mitsuba_crb.export.exr import COLUMN_NAMES, write_exr
 from mitsuba_crb.export.targets import check_target
+from mitsuba_crb.files import jsonable
 from mitsuba_crb.information.accumulate import fisher_information
 from mitsuba_crb.information.pixel_information import information_share
 from mitsuba_crb.measure.pictures import Gathering, pictures_of
@@ -64,6 +66,21 @@ def view():
 def blind():
     """Translation along the camera's y and rotation about its z leave no trace in the image."""
     return synthetic_view.bound(synthetic_view.jacobian(unseen=(1, 5), noise=0.05))
+
+
+def test_what_json_cannot_hold_is_written_alike_wherever_it_lies():
+    given = {
+        "array": np.array([[1.5, np.inf], [-np.inf, np.nan]]),
+        "numbers": (np.float32(0.5), np.int64(3), np.bool_(True), np.array(np.inf), math.nan),
+        7: {"path": Path("a") / "b", "none": None},
+    }
+    plain = jsonable(given)
+    assert plain == {
+        "array": [[1.5, "inf"], ["-inf", None]],
+        "numbers": [0.5, 3, True, "inf", None],
+        "7": {"path": str(Path("a") / "b"), "none": None},
+    }
+    assert json.loads(json.dumps(plain, allow_nan=False)) == plain
 
 
 def test_document_has_every_key_and_round_trips(view, tmp_path):

@@ -175,7 +175,7 @@ def test_a_scene_that_names_no_integrator_gets_path() -> None:
 
 def test_reflections_and_scales_are_no_poses() -> None:
     mirrored = camera() | {"to_world": T().scale([-1, 1, 1])}
-    with pytest.raises(PoseError, match="reflection"):
+    with pytest.raises(PoseError, match="the sensor's to_world contains a reflection"):
         _open(scene(sensor=mirrored))
     with pytest.raises(PoseError):
         _open(scene(), pose=np.diag([2.0, 2.0, 2.0, 1.0]))
