@@ -33,6 +33,7 @@ from ..errors import PointsError
 from ..information.fisher import FisherInformation
 from ..information.linearisation import Linearisation, PixelSelection
 from ..information.significance import no_information
+from ..noise.covariance import positive_matrix
 from ..se3 import Array
 from .pose_graph import JointPoseInformation, PoseGraph
 
@@ -189,11 +190,6 @@ def _whitening(view: PointView, count: int) -> Array:
                 f"{float(noise.flat[np.argmin(np.where(np.isfinite(noise), noise, -np.inf))])}"
             )
         return np.broadcast_to(noise, count)[:, None, None] * np.eye(2)
-    try:
-        if not np.isfinite(noise).all():
-            raise np.linalg.LinAlgError
-        return np.asarray(np.linalg.cholesky(noise), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        raise PointsError(
-            f"the covariances [pixel²] of camera {view.variable!r} must be finite and positive definite"
-        ) from None
+    what = f"a point's covariance [pixel²] of camera {view.variable!r}"
+    covariances = positive_matrix(noise, what, PointsError, definite=True)
+    return np.asarray(np.linalg.cholesky(covariances), dtype=np.float64)

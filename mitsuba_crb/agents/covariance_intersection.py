@@ -30,6 +30,7 @@ from .. import se3
 from ..errors import FusionError
 from ..information.fisher import FisherInformation
 from ..information.significance import identified
+from ..noise.covariance import inverse_cholesky
 from ..se3 import Array
 
 _GAP = 1e-9
@@ -110,7 +111,7 @@ def _optimal_weights(blocks: Array, minimise: Literal["det", "trace"]) -> tuple[
         return weights, gap
     for _ in range(_EXCHANGES):
         M = np.einsum("a,aij->ij", weights, blocks)
-        whiten = np.linalg.inv(np.linalg.cholesky(M))
+        whiten = inverse_cholesky(M)
         price = whiten.T @ whiten
         objective = float(rank)
         if minimise == "trace":

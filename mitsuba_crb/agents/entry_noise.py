@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from ..errors import MessageError
 from ..information.symmetric import triangle
+from ..noise.covariance import nearest_semidefinite
 from ..se3 import Array
 
 LARGEST_NOISE = 1e15
@@ -53,7 +54,8 @@ class NoiseBound:
         """(21, 21), c M, in the units of the row-scaled matrix."""
         if self.inflation == 0.0:
             return np.zeros((21, 21))
-        return self.inflation * _model(_positive(scaled_matrix), self.like_signal, self.row_exponents)
+        P = nearest_semidefinite(scaled_matrix)
+        return self.inflation * _model(P, self.like_signal, self.row_exponents)
 
 
 def noise_bound(scaled_matrix: Array, scaled_covariance: Array) -> NoiseBound:
@@ -75,7 +77,7 @@ def noise_bound(scaled_matrix: Array, scaled_covariance: Array) -> NoiseBound:
             f"the information's standard errors reach {largest:.3g} times its own size; a message carries "
             f"up to {LARGEST_NOISE:g}"
         )
-    P = _positive(scaled_matrix)
+    P = nearest_semidefinite(scaled_matrix)
     # (P_ii + n_i) n_i = Var[F_ii]
     p, v = np.diagonal(P), variances[_ROW == _COLUMN]
     n = 2.0 * v / (p + np.sqrt(p**2 + 4.0 * v) + np.finfo(float).tiny)
@@ -100,12 +102,6 @@ def noise_bound(scaled_matrix: Array, scaled_covariance: Array) -> NoiseBound:
     # Room for the rounding of this computation, which the threshold on `values` bounds.
     inflation = float(np.nextafter(np.float32(1.0001 * ratios[best]), np.float32(np.inf)))
     return NoiseBound(inflation, *trials[best])
-
-
-def _positive(matrix: Array) -> Array:
-    values, vectors = np.linalg.eigh(matrix)
-    positive: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return positive
 
 
 def _model(P: Array, like_signal: float, row_exponents: NDArray[np.int8]) -> Array:

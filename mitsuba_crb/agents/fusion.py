@@ -36,6 +36,7 @@ from ..bound.cramer_rao import PoseBound, cramer_rao_bound
 from ..errors import FrameError, FusionError
 from ..information.fisher import FisherInformation
 from ..information.significance import identified, refuse_negative
+from ..noise.covariance import roots
 from ..se3 import Array
 from .shared_nuisance import SharedNuisance
 
@@ -180,12 +181,8 @@ def _lost(nuisance: SharedNuisance, agents: Sequence[Agent]) -> Array:
             missing.discard(agent.information.variable)
     if missing:
         raise FusionError(f"{nuisance.name!r} is coupled with {min(missing)!r}, which no agent observes")
-    # By its correlation form: the parameters have different units. Where nothing is measured of η, X is zero.
-    d = np.sqrt(np.diagonal(nuisance.total))
-    d = 1.0 / np.where(d > 0.0, d, 1.0)
-    values, vectors = np.linalg.eigh(d[:, None] * nuisance.total * d)
-    measured = values > _NUISANCE_TOLERANCE * max(float(values[-1]), 0.0)
-    root = X @ (d[:, None] * vectors[:, measured] / np.sqrt(values[measured]))
+    # Where nothing is measured of η, X is zero.
+    root = X @ roots(nuisance.total, _NUISANCE_TOLERANCE)[1]
     lost: Array = root @ root.T
     return lost
 

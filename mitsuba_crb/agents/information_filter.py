@@ -28,10 +28,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .. import se3
-from ..errors import FrameError
+from ..errors import FrameError, FusionError
 from ..information.fisher import FisherInformation
-from ..information.significance import positive_semi_definite, seen_root
+from ..information.significance import seen_root
 from ..information.symmetric import congruence, symmetrised
+from ..noise.covariance import positive_matrix
 from ..se3 import Array
 from .message import Message, decode
 
@@ -123,7 +124,7 @@ class InformationFilter:
             FusionError: Q is not symmetric positive semi-definite.
         """
         motion = se3.as_pose(now_from_next)
-        Q = positive_semi_definite(motion_covariance, 6, "a motion's covariance")
+        Q = positive_matrix(motion_covariance, "a motion's covariance", FusionError, size=6)
         now = self.information
         moved = now.transform(
             se3.adjoint(motion), variable=now.variable, frame="camera", pose=now.pose @ motion

@@ -26,6 +26,7 @@ from scipy.sparse.linalg import eigsh, splu
 from ..errors import FusionError
 from ..information.identifiability import CONFIDENCE, SIGNIFICANT, SMALLEST_SHARE
 from ..information.symmetric import congruence, pack, symmetrised, triangle, unpack
+from ..noise.covariance import inverse_cholesky, symmetric_root
 from ..se3 import Array
 
 DENSE = 600
@@ -106,7 +107,7 @@ class JointState:
         if self.threshold > 0.0:
             response = response + self.unseen @ share.T / self.threshold
         # The information about Wᵀ Qᵀ z is the inverse of its covariance; about the rest there is none.
-        root = W @ np.linalg.inv(np.linalg.cholesky(symmetrised(W.T @ Q.T @ response @ W))).T
+        root = W @ inverse_cholesky(symmetrised(W.T @ Q.T @ response @ W)).T
         R_inverse = np.linalg.inv(R)
         information = root @ root.T
         return Projection(
@@ -172,10 +173,9 @@ class JointState:
         rng = np.random.default_rng(1948)
         total = np.zeros((_DRAWS if self._noise else 1, vectors.shape[1], vectors.shape[1]))
         for row in sorted(self._noise):
-            values, axes = np.linalg.eigh(self._noise[row])
-            root = axes * np.sqrt(np.maximum(values, 0.0))
             V = vectors[row : row + 6]
-            total += V.T @ unpack(rng.standard_normal((_DRAWS, 21)) @ root.T) @ V
+            noise = rng.standard_normal((_DRAWS, 21)) @ symmetric_root(self._noise[row])
+            total += V.T @ unpack(noise) @ V
         return total
 
     def _lowest(self, matrix: sp.csc_array) -> tuple[Array, Array]:

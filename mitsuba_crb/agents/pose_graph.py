@@ -39,7 +39,8 @@ from ..errors import FusionError
 from ..information.fisher import FisherInformation
 from ..information.identifiability import FLOAT32_FLOOR
 from ..information.linearisation import Linearisation, PixelSelection
-from ..information.significance import positive_semi_definite, refuse_negative, scaled_covariance
+from ..information.significance import refuse_negative, scaled_covariance
+from ..noise.covariance import positive_matrix
 from ..se3 import Array
 from .joint_state import JointState
 from .shared_nuisance import SharedNuisance
@@ -62,7 +63,8 @@ class RelativePose:
 
     def __post_init__(self) -> None:
         what = f"the information of the relative pose of {self.b!r} seen from {self.a!r}"
-        object.__setattr__(self, "information", positive_semi_definite(self.information, 6, what))
+        information = positive_matrix(self.information, what, FusionError, size=6)
+        object.__setattr__(self, "information", information)
         if self.a == self.b:
             raise FusionError(f"a relative pose ties two variables, not {self.a!r} to itself")
 
@@ -80,7 +82,8 @@ class JointPoseInformation:
         if len(set(self.variables)) < len(self.variables) or not self.variables:
             raise FusionError(f"a joint information needs different variables, not {list(self.variables)}")
         what = f"the joint information of {', '.join(self.variables[:_NAMES])}"
-        object.__setattr__(self, "matrix", positive_semi_definite(self.matrix, 6 * len(self.variables), what))
+        matrix = positive_matrix(self.matrix, what, FusionError, size=6 * len(self.variables))
+        object.__setattr__(self, "matrix", matrix)
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 
 from ..errors import MessageError
 from ..information.symmetric import pack, symmetrised, unpack
+from ..noise.covariance import roots
 from ..se3 import Array
 
 Form: TypeAlias = Literal["full", "factor", "sketch"]
@@ -134,14 +135,10 @@ def kept_fraction(decoded: Array, matrix: Array, rank: int = 6) -> float:
 
     Directions that F itself does not have are left out; 1 if there are no others.
     """
-    d = np.sqrt(np.abs(np.diagonal(matrix)))
-    d = np.where(d > 0.0, d, 1.0)
-    values, vectors = np.linalg.eigh(matrix / np.outer(d, d))
-    informed = values > _RANK_TOLERANCE * max(float(values[-1]), 0.0)
-    if not informed.any():
+    _, whiten = roots(matrix, _RANK_TOLERANCE)
+    if whiten.shape[1] == 0:
         return 1.0
-    basis = vectors[:, informed] / np.sqrt(values[informed])
-    fractions = np.linalg.eigvalsh(basis.T @ (decoded / np.outer(d, d)) @ basis)
+    fractions = np.linalg.eigvalsh(whiten.T @ decoded @ whiten)
     return float(np.clip(fractions[-min(rank, len(fractions))], 0.0, 1.0))
 
 

@@ -34,6 +34,7 @@ from ..bound.criteria import OBJECTIVES, Criterion, Trace
 from ..errors import SelectionError
 from ..files import jsonable
 from ..information.symmetric import symmetrised
+from ..noise.covariance import nearest_semidefinite, positive_matrix
 from ..se3 import Array
 from .greedy import choose, equal_split, random_choice, top_trace
 from .relaxation import upper_bound
@@ -209,20 +210,7 @@ def _base(ridge: float, prior: ArrayLike | None, *, definite: bool) -> Array:
         raise SelectionError(f"the ridge must be a finite number that is not negative, not {ridge!r}")
     base = ridge * np.eye(6)
     if prior is not None:
-        try:
-            given = np.array(prior, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise SelectionError(f"a prior is a 6 x 6 matrix of numbers: {error}") from None
-        if given.shape != (6, 6) or not np.isfinite(given).all():
-            raise SelectionError(f"a prior is a finite 6 x 6 matrix, not {given.shape}")
-        if not np.allclose(given, given.T, rtol=0.0, atol=1e-9 * np.abs(given).max()):
-            raise SelectionError("the prior's information matrix is not symmetric")
-        eigenvalues = np.linalg.eigvalsh(given)
-        if eigenvalues[0] < -1e-9 * max(eigenvalues[-1], 0.0):
-            raise SelectionError(
-                f"the prior is not positive semi-definite (smallest eigenvalue {eigenvalues[0]:.3g})"
-            )
-        base += symmetrised(given)
+        base += positive_matrix(prior, "the prior's information", SelectionError, size=6)
     eigenvalues = np.linalg.eigvalsh(base)
     if definite and eigenvalues[0] <= 1e-12 * eigenvalues[-1]:
         raise SelectionError(
@@ -243,9 +231,8 @@ def _assembled(
     fits = limits.fits(owner, cost)
     select = np.concatenate([agent.select for agent in agents])[fits]
     report = np.concatenate([agent.report for agent in agents])[fits]
-    eigenvalues, vectors = np.linalg.eigh(select)
-    projected = (vectors * np.maximum(eigenvalues, 0.0)[:, None]) @ vectors.swapaxes(1, 2)
-    return Problem(base, symmetrised(projected), owner[fits], cost[fits], limits), tile[fits], report
+    projected = symmetrised(nearest_semidefinite(select))
+    return Problem(base, projected, owner[fits], cost[fits], limits), tile[fits], report
 
 
 def _guarantee(problem: Problem, criterion: Criterion) -> float | None:

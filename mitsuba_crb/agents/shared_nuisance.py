@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike
 from .. import se3
 from ..errors import FusionError
 from ..information.fisher import FisherInformation
-from ..information.significance import positive_semi_definite, seen_root
+from ..information.significance import seen_root
+from ..noise.covariance import positive_matrix
 from ..se3 import Array
 
 
@@ -49,8 +50,8 @@ class SharedNuisance:
                 )
             cross[variable] = X
             what = f"{self.name!r}: what {variable!r} measures of it"
-            own[variable] = positive_semi_definite(self.own[variable], m, what)
-        known = positive_semi_definite(known, m, f"what is known of {self.name!r}")
+            own[variable] = positive_matrix(self.own[variable], what, FusionError, size=m)
+        known = positive_matrix(known, f"what is known of {self.name!r}", FusionError, size=m)
         for name, value in (("known", known), ("cross", cross), ("own", own)):
             object.__setattr__(self, name, value)
 

@@ -23,6 +23,7 @@ from scipy import stats
 
 from ..errors import TrialError
 from ..information.fisher import FisherInformation
+from ..noise.covariance import positive_matrix, roots
 from ..se3 import Array
 
 LEVELS = (0.50, 0.68, 0.90, 0.95, 0.99)
@@ -107,14 +108,10 @@ def consistency(errors: Array, information: FisherInformation, *, confidence: fl
     if twists.ndim != 2 or twists.shape[1] != 6 or n < 7:
         raise TrialError(f"a covariance of six numbers needs at least 7 errors (n, 6), not {twists.shape}")
     camera = information.to_frame("camera")
-    F = camera.scale[:, None] * camera.matrix * camera.scale
-    values, vectors = np.linalg.eigh(F)
-    if not values[0] > 0.0:
-        raise TrialError(
-            f"the information is not positive definite (smallest eigenvalue {values[0]:.3g}): errors have no "
-            "bound in a direction that is not seen"
-        )
-    root = vectors * np.sqrt(values) @ vectors.T
+    scaled = camera.scale[:, None] * camera.matrix * camera.scale
+    cure = "errors have no bound in a direction that is not seen"
+    F = positive_matrix(scaled, "the information", TrialError, definite=True, cure=cure)
+    root, inverse_root = roots(F, 0.0)
     whitened = twists / camera.scale @ root
     squares = np.sum(whitened**2, axis=1)
     ratios, axes = np.linalg.eigh(whitened.T @ whitened / n)
@@ -124,7 +121,7 @@ def consistency(errors: Array, information: FisherInformation, *, confidence: fl
         nees=float(squares.mean()),
         nees_band=(float(low) / n, float(high) / n),
         generalized_eigenvalues=ratios[::-1],
-        directions=np.linalg.solve(root, axes[:, ::-1]).T * camera.scale,
+        directions=(inverse_root @ axes[:, ::-1]).T * camera.scale,
         wishart_band=wishart_band(n, confidence),
         coverage=tuple(_coverage(squares, level, confidence) for level in LEVELS),
         bias=np.sqrt(n) * twists.mean(axis=0) / twists.std(axis=0, ddof=1),

@@ -19,6 +19,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
+from ..noise.covariance import inverse_cholesky
 from ..se3 import Array
 
 
@@ -57,13 +58,13 @@ class LogDet:
 
     def gains(self, matrix: Array, blocks: Array) -> Array:
         """log det(1 + L⁻¹ F_i L⁻ᵀ) with M = LLᵀ: small gains keep their digits, which log det M would eat."""
-        whitening = np.linalg.inv(np.linalg.cholesky(matrix))
+        whitening = inverse_cholesky(matrix)
         determinants = np.linalg.slogdet(np.eye(6) + whitening @ blocks @ whitening.T)
         return np.asarray(determinants.logabsdet, dtype=np.float64)
 
     def price(self, matrix: Array) -> Array:
         """M⁻¹."""
-        whitening = np.linalg.inv(np.linalg.cholesky(matrix))
+        whitening = inverse_cholesky(matrix)
         inverse: Array = whitening.T @ whitening
         return inverse
 

@@ -22,7 +22,9 @@ from .. import se3
 from ..errors import OptionError
 from ..information.fisher import FisherInformation
 from ..information.identifiability import FLOAT32_FLOOR, Identifiability, identify
-from ..information.symmetric import congruence, pack
+from ..information.significance import refuse_negative
+from ..information.symmetric import congruence, pack, symmetrised
+from ..noise.covariance import nearest_semidefinite, positive_matrix, roots
 from ..se3 import Array
 from .prior import PosePrior
 
@@ -132,30 +134,14 @@ def _with_prior(
         if own.covariance_of_entries.any():
             found = identify(matrix, _scaled(own.covariance_of_entries, camera.scale))
             return total, (found.seen * found.eigenvalues[: found.rank]) @ found.seen.T
-        return total, _semidefinite(matrix)
-    try:
-        given = np.array(prior, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise OptionError(f"a prior is a FisherInformation or a 6 x 6 matrix: {error}") from None
-    if given.shape != (6, 6) or not np.isfinite(given).all():
-        raise OptionError(f"a prior is a finite 6 x 6 matrix, not {given.shape}; an unknown direction is 0")
-    if not np.allclose(given, given.T, rtol=0.0, atol=1e-9 * np.abs(given).max()):
-        raise OptionError("the prior's information matrix is not symmetric")
+        refuse_negative(own, "the prior", OptionError)
+        return total, nearest_semidefinite(matrix)
+    given = positive_matrix(prior, "the prior's information", OptionError, size=6)
     A = se3.adjoint(camera.pose) if information.frame == "world" else np.eye(6)
     own_matrix = A.T @ given @ A
-    P = _semidefinite(S @ own_matrix @ S)
+    P = nearest_semidefinite(symmetrised(S @ own_matrix @ S))
     plain = None if camera.plain_matrix is None else camera.plain_matrix + own_matrix
     return dataclass_replace(camera, matrix=camera.matrix + own_matrix, plain_matrix=plain), P
-
-
-def _semidefinite(matrix: Array) -> Array:
-    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
-    if values[0] < -1e-9 * max(values[-1], 0.0):
-        raise OptionError(
-            f"the prior's information is not positive semi-definite (smallest eigenvalue {values[0]:.3g})"
-        )
-    positive: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return positive
 
 
 def _unseen_by_prior(identifiability: Identifiability, prior: Array) -> Array:
@@ -190,12 +176,10 @@ def _inverse_root(matrix: Array) -> Array:
     Raises:
         OptionError: A is singular to float64, which only a prior can make it.
     """
-    d = 1.0 / np.sqrt(np.diagonal(matrix))
-    values, vectors = np.linalg.eigh(d[:, None] * matrix * d)
-    if values.size and values[0] < _SMALLEST_CORRELATION:
+    _, inverse = roots(matrix, _SMALLEST_CORRELATION)
+    if inverse.shape[1] < len(matrix):
         raise OptionError("the prior is so strong in one direction that float64 loses all others; weaken it")
-    root: Array = d[:, None] * vectors / np.sqrt(values)
-    return root
+    return inverse
 
 
 def _quadratic_error(vectors: Array, covariance_of_entries: Array) -> Array:

@@ -21,6 +21,7 @@ from pydantic import Field, PositiveFloat
 from .. import se3
 from ..errors import PriorError
 from ..files import Table, checked, expected, read_json, read_toml
+from ..noise.covariance import positive_matrix
 from ..se3 import Array, Frame
 
 Matrix = Annotated[list[list[float]], expected("a 6 x 6 matrix of numbers")]
@@ -105,9 +106,6 @@ def prior_from_dict(document: Any) -> PosePrior:
         return PosePrior(_information(table.information, "information"), table.frame)
     if table.covariance is not None:
         matrix = _information(table.covariance, "covariance")
-        scale = np.sqrt(np.diagonal(matrix))
-        if not (scale > 0.0).all() or np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] < 1e-12:
-            raise PriorError("a covariance must be positive definite; give information where one is unknown")
         return PosePrior(np.asarray(np.linalg.inv(matrix), dtype=np.float64), table.frame)
     position, rotation = (np.broadcast_to(std, 3) for std in (table.position_std, table.rotation_std_deg))
     with np.errstate(over="ignore"):
@@ -116,19 +114,6 @@ def prior_from_dict(document: Any) -> PosePrior:
 
 
 def _information(value: Any, what: str) -> Array:
-    try:
-        matrix = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise PriorError(f"the {what} of a prior must be a 6 x 6 matrix of numbers ({error})") from None
-    if matrix.shape != (6, 6) or not np.isfinite(matrix).all():
-        raise PriorError(f"the {what} of a prior must be a finite 6 x 6 matrix, not of shape {matrix.shape}")
-    if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=1e-9 * np.abs(matrix).max()):
-        raise PriorError(f"the {what} of a prior must be symmetric")
-    d = np.sqrt(np.abs(np.diagonal(matrix)))
-    d = 1.0 / np.where(d > 0.0, d, 1.0)
-    smallest = float(np.linalg.eigvalsh(d[:, None] * matrix * d)[0])
-    if smallest < -1e-9:
-        raise PriorError(
-            f"the {what} of a prior has the scaled eigenvalue {smallest:.3g}; none may be negative"
-        )
-    return 0.5 * (matrix + matrix.T)
+    definite = what == "covariance"
+    cure = "give information where a direction is unknown" if definite else ""
+    return positive_matrix(value, f"the {what} of a prior", PriorError, size=6, definite=definite, cure=cure)

@@ -20,6 +20,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from ..noise.covariance import symmetric_root
 from ..se3 import Array
 from .symmetric import congruence, unpack
 
@@ -115,7 +116,7 @@ def identify(matrix: Array, covariance_of_entries: Array) -> Identifiability:
     values, vectors = values[::-1], vectors[:, ::-1]
     T = congruence(vectors)
     covariance = T @ covariance_of_entries @ T.T
-    noise = unpack(_standard_normals() @ (_root(covariance_of_entries) @ T.T)).reshape(-1, 6, 6)
+    noise = unpack(_standard_normals() @ (symmetric_root(covariance_of_entries) @ T.T)).reshape(-1, 6, 6)
     floor = FLOAT32_FLOOR * max(float(values[0]), 0.0)
     rank, threshold = 6, 0.0
     for r in range(6):
@@ -247,10 +248,3 @@ def _standard_normals() -> Array:
     normals = np.random.default_rng(1948).standard_normal((_DRAWS // 128, 128, 21))
     normals.flags.writeable = False
     return normals
-
-
-def _root(covariance: Array) -> Array:
-    """The symmetric square root of a covariance's positive semi-definite part."""
-    values, vectors = np.linalg.eigh(covariance)
-    root: Array = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-    return root

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import FusionError
+from ..noise.covariance import symmetric_root
 from ..se3 import Array
 from .fisher import FisherInformation
 from .identifiability import Identifiability, identify
 from .linearisation import Linearisation, PixelSelection
-from .symmetric import congruence, symmetrised, unpack
+from .symmetric import congruence, unpack
 
 NEGATIVE = 4.0
 """Standard errors beyond which negative information is no estimation noise."""
@@ -59,14 +60,14 @@ def scaled_covariance(camera: FisherInformation) -> Array:
     return covariance
 
 
-def refuse_negative(information: FisherInformation, name: str) -> None:
+def refuse_negative(information: FisherInformation, name: str, fault: type[Exception] = FusionError) -> None:
     """Refuse information that is negative beyond what estimation noise explains.
 
     The smallest of several unseen directions' eigenvalues is negative by chance: it may lie `NEGATIVE`
     standard errors below its mean under pure noise, which is zero for a single direction.
 
     Raises:
-        FusionError: it lies lower.
+        fault: it lies lower.
     """
     camera = information.to_frame("camera")
     eigenvalues = np.linalg.eigvalsh(_scaled(camera))
@@ -74,40 +75,18 @@ def refuse_negative(information: FisherInformation, name: str) -> None:
     if smallest >= -_ROUNDING * largest:
         return
     found = identified(camera)
-    values, vectors = np.linalg.eigh(scaled_covariance(camera))
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    draws = np.random.default_rng(1997).standard_normal((_DRAWS, 21)) @ root.T
+    root = symmetric_root(scaled_covariance(camera))
+    draws = np.random.default_rng(1997).standard_normal((_DRAWS, 21)) @ root
     noise = found.unseen.T @ unpack(draws) @ found.unseen
     # The last of the unseen directions is the smallest eigenvalue's.
     error = float(noise[:, -1, -1].std())
     mean = float(np.linalg.eigvalsh(noise)[:, 0].mean()) if found.rank < 5 else 0.0
     if smallest < mean - NEGATIVE * error - _ROUNDING * largest:
         size = f"by {(mean - smallest) / error:.1f} standard errors" if error > 0.0 else "and exact"
-        raise FusionError(
+        raise fault(
             f"the information of {name!r} is negative {size} (smallest eigenvalue {smallest:.3g}); noise "
             f"explains {NEGATIVE:g}. Is a sign wrong, or the covariance of its entries?"
         )
-
-
-def positive_semi_definite(value: ArrayLike, size: int, what: str) -> Array:
-    """An exact information matrix (size, size), checked.
-
-    Raises:
-        FusionError: another shape, not finite, not symmetric, or negative beyond rounding.
-    """
-    matrix = np.array(value, dtype=np.float64)
-    if matrix.shape != (size, size) or not np.isfinite(matrix).all():
-        raise FusionError(f"{what} must be a finite {size} x {size} matrix, not of shape {matrix.shape}")
-    # Rows have different units: compare with the diagonal's, and judge the sign of the correlation form.
-    d = np.sqrt(np.abs(np.diagonal(matrix)))
-    d = 1.0 / np.where(d > 0.0, d, 1.0)
-    unit = d[:, None] * matrix * d
-    if not np.allclose(unit, unit.T, rtol=0.0, atol=_ROUNDING):
-        raise FusionError(f"{what} is not symmetric")
-    smallest = float(np.linalg.eigvalsh(unit)[0])
-    if smallest < -_ROUNDING:
-        raise FusionError(f"{what} is not positive semi-definite (smallest scaled eigenvalue {smallest:.3g})")
-    return symmetrised(matrix)
 
 
 def _scaled(camera: FisherInformation) -> Array:

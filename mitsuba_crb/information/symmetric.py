@@ -12,6 +12,7 @@ from math import isqrt
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..noise.covariance import roots
 from ..se3 import Array
 
 # Directions in which a metric is below this fraction of its own diagonal are rounding.
@@ -71,12 +72,7 @@ def positive_part(matrix: Array, metric: Array) -> Array:
         matrix: (n, n), A; it must vanish where W does.
         metric: (n, n), W, positive semi-definite and of the size of A.
     """
-    diagonal = np.diagonal(metric)
-    d = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-    values, vectors = np.linalg.eigh(metric / np.outer(d, d))
-    kept = values > _RANK_TOLERANCE * max(values[-1], 0.0)
-    root = d[:, None] * vectors[:, kept] * np.sqrt(values[kept])
-    inverse_root = vectors[:, kept] / np.sqrt(values[kept]) / d[:, None]
+    root, inverse_root = roots(metric, _RANK_TOLERANCE)
     generalised, axes = np.linalg.eigh(inverse_root.T @ matrix @ inverse_root)
     axes = root @ axes[:, generalised > 0.0] * np.sqrt(generalised[generalised > 0.0])
     norms = np.linalg.norm(axes, axis=1)

@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import NoiseError
+from ..noise.covariance import ROUNDING, symmetric_root
 from ..se3 import Array
 from .symmetric import entries, pack, positive_part, symmetrised
 
@@ -120,14 +121,15 @@ def square_root(weights: Array) -> Array:
         raise NoiseError("the noise model gave inverse variances that are negative or not finite")
     if weights.ndim == 2:
         return np.asarray(np.sqrt(weights), dtype=np.float64)
-    values, vectors = np.linalg.eigh(symmetrised(weights))
-    if (values < -1e-9 * np.abs(values).max(initial=0.0, axis=1, keepdims=True)).any():
+    blocks = symmetrised(weights)
+    root = symmetric_root(blocks)
+    lost = np.abs(root @ root - blocks).max(axis=(1, 2), initial=0.0)
+    if (lost > ROUNDING * np.abs(blocks).max(axis=(1, 2), initial=0.0)).any():
         raise NoiseError(
-            f"the noise model gave a pixel's channels an information with the eigenvalue {values.min():.3g}; "
-            "none may be negative"
+            "the noise model gave a pixel's channels an information with the eigenvalue "
+            f"{np.linalg.eigvalsh(blocks).min():.3g}; none may be negative"
         )
-    root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    return np.asarray(root @ vectors.swapaxes(1, 2), dtype=np.float64)
+    return root
 
 
 def whiten(values: Array, root: Array) -> Array:

@@ -29,6 +29,7 @@ from ..errors import PriorError
 from ..information.fisher import FisherInformation
 from ..information.symmetric import pack
 from ..noise import NoiseModel
+from ..noise.covariance import ROUNDING, roots
 from ..render.lending import in_turn
 from ..se3 import Array
 from .measurement import measurement
@@ -111,12 +112,10 @@ def right_jacobian(twist: ArrayLike) -> Array:
 
 def _draw(information: Array, draws: int, seed: int) -> Array:
     """(draws, 6) of N(0, P⁻¹)."""
-    scale = np.sqrt(np.diagonal(information))
-    correlation = information / np.outer(scale, scale) if (scale > 0.0).all() else np.zeros((6, 6))
-    values, vectors = np.linalg.eigh(correlation)
-    if values[0] < 1e-9:
+    _, inverse = roots(information, ROUNDING)
+    if inverse.shape[1] < 6:
         raise PriorError(
             "no poses can be drawn from a prior that leaves a direction open; give six finite deviations"
         )
     normals = np.random.default_rng([seed, 1968]).standard_normal((draws, 6))
-    return np.asarray((normals / np.sqrt(values)) @ vectors.T / scale, dtype=np.float64)
+    return np.asarray(normals @ inverse.T, dtype=np.float64)

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import NoiseError
-from .parameters import array, at_pixels, check_covariance
+from .covariance import positive_matrix
+from .parameters import array, at_pixels
 from .protocol import Array, CoupledNoise, IndependentNoise
 
 REC709 = (0.2126, 0.7152, 0.0722)
@@ -34,7 +35,7 @@ class ColourBlocks(IndependentNoise):
             raise NoiseError(
                 f"ColourBlocks expects covariances of shape (C, C) or (H, W, C, C), not {values.shape}"
             )
-        check_covariance(values, "the covariance of the channels")
+        positive_matrix(values, "the covariance of the channels", NoiseError, definite=True)
         object.__setattr__(self, "covariance", values)
 
     @property

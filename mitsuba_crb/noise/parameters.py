@@ -1,4 +1,4 @@
-"""What parameters of noise models may be: positive numbers, maps over the image, covariance matrices."""
+"""What parameters of noise models may be: positive numbers, maps over the image."""
 
 from __future__ import annotations
 
@@ -78,20 +78,3 @@ def at_pixels(values: Array, pixels: NDArray[np.integer], what: str) -> Array:
     if x.size and (min(x.min(), y.min()) < 0 or x.max() >= width or y.max() >= height):
         raise NoiseError(f"the {what} covers {width} x {height} pixels, but not pixel ({x.max()}, {y.max()})")
     return np.asarray(values[y, x], dtype=np.float64)
-
-
-def check_covariance(matrix: Array, name: str) -> None:
-    """Refuse matrices (..., n, n) that are not symmetric and positive definite.
-
-    Raises:
-        NoiseError: names the asymmetry or the smallest eigenvalue.
-    """
-    if not np.isfinite(matrix).all():
-        raise NoiseError(f"{name} has entries that are not finite")
-    size = float(np.abs(matrix).max())
-    skew = float(np.abs(matrix - np.swapaxes(matrix, -1, -2)).max())
-    if skew > 1e-9 * size:
-        raise NoiseError(f"{name} is not symmetric: entries differ from their mirror images by {skew:.3g}")
-    smallest = float(np.linalg.eigvalsh(matrix).min())
-    if smallest <= 1e-12 * size:
-        raise NoiseError(f"{name} is not positive definite: its smallest eigenvalue is {smallest:.3g}")

@@ -18,6 +18,7 @@ from scipy import sparse
 from scipy.sparse.linalg import eigsh, splu
 
 from ..errors import NoiseError
+from .covariance import DEFINITE, ROUNDING
 from .protocol import Array, CoupledNoise
 
 
@@ -85,25 +86,29 @@ class SparsePrecision(CoupledNoise):
 def _check_positive_definite(Q: sparse.csc_array) -> None:
     if not np.isfinite(Q.data).all():
         raise NoiseError("the precision has entries that are not finite")
-    size = float(np.abs(Q).max())
-    skew = float(np.abs(Q - Q.T).max())
-    if skew > 1e-9 * size:
-        raise NoiseError(
-            f"the precision is not symmetric: entries and their mirror images differ by {skew:.3g}"
-        )
     diagonal = Q.diagonal()
+    s = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, float(np.abs(Q).max()) or 1.0))
+    unit = sparse.csc_array(sparse.diags_array(s) @ Q @ sparse.diags_array(s))
+    skew = float(np.abs(unit - unit.T).max())
+    if skew > ROUNDING:
+        raise NoiseError(
+            "the precision is not symmetric: with its diagonal scaled to one, entries differ from their "
+            f"mirror images by {skew:.3g}"
+        )
     # Gershgorin: nothing needs to be factorised where the diagonal dominates.
-    if np.all(2.0 * diagonal > np.asarray(np.abs(Q).sum(axis=0)).ravel() * (1.0 + 1e-9)):
+    if np.all(2.0 * unit.diagonal() > np.asarray(np.abs(unit).sum(axis=0)).ravel() * (1.0 + 1e-9)):
         return
     try:
         pivots = splu(
-            Q, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+            unit, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         ).U.diagonal()
     except RuntimeError:  # exactly singular
         pivots = np.zeros(1)
-    if pivots.min() <= 1e-12 * size:
-        smallest = _smallest_eigenvalue(Q)
-        raise NoiseError(f"the precision is not positive definite: its smallest eigenvalue is {smallest:.3g}")
+    if pivots.min() < DEFINITE:
+        raise NoiseError(
+            "the precision is not positive definite: with its diagonal scaled to one, its smallest "
+            f"eigenvalue is {_smallest_eigenvalue(unit):.3g}"
+        )
 
 
 def _smallest_eigenvalue(Q: sparse.csc_array) -> float:

@@ -16,6 +16,8 @@ from matplotlib.patches import Polygon, Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator, NullLocator
 
+from ..noise.covariance import symmetric_root
+
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
@@ -152,9 +154,8 @@ def draw_ellipse(
         outline = np.array([4 * reach * a * along + half_width * b * across for a, b in corners])
     else:
         # the ellipse M·(cos, sin) with M Mᵀ the projected shape matrix
-        values, vectors = np.linalg.eigh(finite @ finite.T)
         angle = np.linspace(0, 2 * np.pi, 181)
-        outline = (vectors * np.sqrt(np.clip(values, 0, None)) @ [np.cos(angle), np.sin(angle)]).T
+        outline = (symmetric_root(finite @ finite.T) @ [np.cos(angle), np.sin(angle)]).T
     hatch = "////" if blind else None
     drawn: list[Artist] = [
         ax.add_patch(Polygon(outline, facecolor=colour, edgecolor="none", alpha=0.16)),

@@ -90,11 +90,14 @@ def test_files_say_the_same_as_matrices(tmp_path):
         ("frame = 'camera'\ncovariance = [[true]]\n", "covariance must be a 6 x 6 matrix of numbers, not"),
         ("frame = 'camera'\ninformation = {}\n", "information\\]? must be a 6 x 6 matrix of numbers, not {}"),
         ("frame = 'camera'\nposition_std = -1\n", "position_std must be a positive number"),
-        ("frame = 'camera'\nposition_std = 1e-300\n", "finite 6 x 6 matrix"),
+        (
+            "frame = 'camera'\nposition_std = 1e-300\n",
+            "prior has entries that are not finite",
+        ),
         (f"frame = 'camera'\nposition_std = 1{400 * '0'}\n", "position_std must be a positive number"),
         (f"frame = 'camera'\ninformation = 1{400 * '0'}\n", "6 x 6 matrix of numbers"),
         ("frame = 'camera'\nposition_std = [1, 2]\n", "position_std must be a positive number"),
-        ("frame = 'camera'\ninformation = [[1, 2]]\n", r"finite 6 x 6 matrix, not of shape \(1, 2\)"),
+        ("frame = 'camera'\ninformation = [[1, 2]]\n", r"6 x 6 matrix of numbers, not of shape \(1, 2\)"),
         ("frame = ", "prior.toml is no TOML"),
     ],
 )
@@ -106,11 +109,11 @@ def test_what_is_no_prior_is_named(tmp_path, text, message):
 def test_matrices_that_are_no_information_are_named(tmp_path):
     with pytest.raises(PriorError, match=r"cannot read .*missing.toml: No such file"):
         load_prior(tmp_path / "missing.toml")
-    with pytest.raises(PriorError, match="scaled eigenvalue -1;"):
+    with pytest.raises(PriorError, match=r"not positive semi-definite.* eigenvalue is -1$"):
         PosePrior(np.diag([1.0, 1, 1, 1, 1, -1]), "camera")
-    with pytest.raises(PriorError, match="must be symmetric"):
+    with pytest.raises(PriorError, match="not symmetric"):
         PosePrior(np.triu(np.ones((6, 6))), "camera")
-    with pytest.raises(PriorError, match="positive definite; give information"):
+    with pytest.raises(PriorError, match=r"not positive definite.*; give information"):
         prior_from_dict({"frame": "camera", "covariance": np.diag([1, 1, 1, 1, 1, 0]).tolist()})
     with pytest.raises(PriorError, match=r"a prior must be a table, not \[1\]"):
         prior_from_dict([1])
