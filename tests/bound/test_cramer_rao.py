@@ -605,6 +605,10 @@ class TestPrior:
         [
             (np.diag([1.0, 1, 1, 1, 1, -1]), "not positive semi-definite"),
             (-np.eye(6), "not positive semi-definite"),
+            (
+                _information(np.diag([1.0, 1, 1, 1, 1, -1])),
+                "information of 'the prior' is negative and exact",
+            ),
             (np.triu(np.ones((6, 6))), "not symmetric"),
             (np.eye(3), "6 x 6"),
             (np.diag([np.inf, 1, 1, 1, 1, 1]), "finite"),
