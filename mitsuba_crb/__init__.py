@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from .measure.pose import pose_bound as pose_bound
     from .measure.pose import pose_jacobian as pose_jacobian
     from .measure.tiles import tile_information as tile_information
+    from .render.scene import SceneFile as SceneFile
     from .render.scene import load_scene as load_scene
 
 pip_llvm.name_to_drjit()
@@ -67,6 +68,7 @@ _HOME = {
     "tile_information": "measure.tiles",
     "PosePrior": "bound.prior",
     "load_prior": "bound.prior",
+    "SceneFile": "render.scene",
     "load_scene": "render.scene",
     "select_tiles": "agents.selection",
     "Budget": "agents.tiles",

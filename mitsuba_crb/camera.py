@@ -76,6 +76,12 @@ class Camera:
         return np.asarray(-1.0 / self.scale)
 
     @property
+    def field_of_view_deg(self) -> list[float]:
+        """Angles between the rays through the middles of opposite sides of the image [deg]: across, down."""
+        first, last = self.offset, self.offset + self.scale * np.asarray(self.size)
+        return [float(angle) for angle in np.degrees(np.abs(np.arctan(first) - np.arctan(last)))]
+
+    @property
     def centre(self) -> Array:
         """(2,) the principal point, where the optical axis meets the film [pixel]."""
         return np.asarray(-self.offset / self.scale)

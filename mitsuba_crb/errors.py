@@ -59,6 +59,10 @@ class PriorError(MitsubaCRBError):
     """What is said to be known of a pose beforehand is no information matrix in a known frame."""
 
 
+class TracingError(MitsubaCRBError):
+    """Mitsuba, or a plugin of it, failed while the scene was traced."""
+
+
 class RadianceError(MitsubaCRBError):
     """The renderer returned radiance that is not finite."""
 
@@ -109,6 +113,10 @@ class OutOfViewError(AlignmentError):
 
 class TrialError(MitsubaCRBError):
     """Monte Carlo trials cannot be run, resumed or judged: their number, settings or bound are at fault."""
+
+
+class SceneWarning(UserWarning):
+    """Something of a scene was left out or replaced that does not keep it from being measured."""
 
 
 class BlindSpotWarning(UserWarning):

@@ -125,7 +125,10 @@ def as_pose(value: ArrayLike | RigidTransform, name: str = "the pose") -> Array:
     if matrix.shape != (4, 4):
         raise PoseError(f"{name} must have shape (4, 4), not {matrix.shape}")
     if not np.isfinite(matrix).all():
-        raise PoseError(f"{name} has entries that are NaN or infinite; give a finite rigid motion")
+        raise PoseError(
+            f"{name} has entries that are NaN or infinite; give a finite rigid motion (of a look_at: up is "
+            "parallel to the view direction, or target is origin: choose another up)"
+        )
     if not np.allclose(matrix[3], (0.0, 0.0, 0.0, 1.0), rtol=0.0, atol=_EXACT_TOLERANCE):
         raise PoseError(
             f"{name} has the last row {matrix[3].tolist()}, not (0, 0, 0, 1); is the matrix transposed?"
@@ -192,6 +195,8 @@ def pose_from_numbers(values: Any) -> Array:
         raise PoseError("this is neither a 4x4 matrix nor seven numbers x y z qx qy qz qw") from error
     if array.size == 7:
         return pose_from_vector(array.ravel())
+    if array.size == 12:
+        raise PoseError("these are the 12 numbers of a 3x4 matrix: append its last row, 0 0 0 1")
     if array.size != 16:
         raise PoseError(f"expected a 4x4 matrix or seven numbers x y z qx qy qz qw, got {array.size} numbers")
     return as_pose(array.reshape(4, 4))

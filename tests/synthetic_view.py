@@ -91,6 +91,7 @@ def bound(view: ImageJacobian) -> PoseBound:
         "seed": 0,
         "batches": 4,
         "size": [width, height],
+        "fov_deg": [40.0, 30.5],
         "pixels": dataclasses.asdict(view.selection),
         "integrator": "PathIntegrator",
         "noise": {"model": "gaussian", "sigma": SIGMA, "origin": "0.01 of the image's white 1"},

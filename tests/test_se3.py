@@ -258,3 +258,8 @@ def test_the_convention_table_comes_from_the_docstring():
     ):
         assert word in se3.CONVENTIONS
     assert len(se3.TWIST_ORDER) == 6
+
+
+def test_a_matrix_without_its_last_row_is_told_to_have_one() -> None:
+    with pytest.raises(PoseError, match="3x4 matrix: append its last row, 0 0 0 1"):
+        se3.pose_from_numbers(np.eye(4)[:3].tolist())

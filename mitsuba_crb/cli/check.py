@@ -48,11 +48,11 @@ def check(
         defines = parse_defines(define)
 
         from ..measure.check import CHECKED, check_jacobian
-        from ..render.scene import load_scene
+        from ..render.scene import SceneFile
         from ..show.check_table import print_check
 
         with measuring() as (_, warned):
             methods = tuple(method or CHECKED)
-            result = check_jacobian(load_scene(scene, **defines), methods=methods, **options)
+            result = check_jacobian(SceneFile(scene, defines), methods=methods, **options)
         print_check(console(), result, warned)
         return result.exit_code

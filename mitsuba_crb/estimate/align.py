@@ -17,7 +17,8 @@ from ..bound.cramer_rao import PoseBound, cramer_rao_bound
 from ..errors import AlignmentError, NoiseError, PrecisionWarning
 from ..information.accumulate import as_noise_model
 from ..measure.measurement import measurement
-from ..measure.options import MeasurementKeywords
+from ..measure.mitsuba_view import wanted
+from ..measure.options import MeasurementKeywords, MeasurementOptions
 from ..noise import CoupledNoise, IndependentNoise, NoiseModel
 from ..render.lending import in_turn
 from ..render.scene import as_scene
@@ -97,8 +98,8 @@ def align(
     measured = _checked_image(image)
     _check_arguments(estimator, iterations, levels)
     model = _checked_noise(noise, measured)
-    loaded, _ = as_scene(scene)
-    options["size"] = _size(measured, options.get("size"), loaded, options.get("sensor", 0))
+    options["size"] = _size(measured, options.get("size"), scene, options.get("sensor", 0))
+    loaded, _ = as_scene(scene, wanted(MeasurementOptions(**options)))
     damping = DAMPING if estimator == "levenberg_marquardt" else 0.0
     count, words = 0, None
     if levels:
@@ -119,6 +120,8 @@ def align(
             if status != "diverged":
                 options["pose"] = pose
     with measurement(loaded, **options) as run:
+        if run.view.luminance:
+            raise AlignmentError("the film measures luminance alone; an alignment needs pixel_format rgb")
         run.warn_of_limits()
         misfit = Misfit(run.only(description=words), measured, model, anchor)
         if estimator == "adam":

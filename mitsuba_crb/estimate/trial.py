@@ -16,9 +16,11 @@ import numpy as np
 
 from .. import se3
 from ..errors import OutOfViewError
-from ..measure.options import MeasurementKeywords
+from ..measure.mitsuba_view import wanted
+from ..measure.options import MeasurementKeywords, MeasurementOptions
 from ..noise import Gaussian
-from ..render.scene import load_scene
+from ..render.fit import Wanted
+from ..render.scene import SceneFile, as_scene
 from ..se3 import Array
 from .align import align
 from .misfit import Anchor
@@ -68,14 +70,14 @@ def run_trials(work: tuple[Setup, list[int]]) -> list[Trial]:
     setup, indices = work
     scene = setup.scene
     if isinstance(scene, str | Path):
-        scene = _loaded(str(scene), *setup.defines.items())
+        scene = _loaded(str(scene), wanted(MeasurementOptions(**setup.options)), *setup.defines.items())
     return [_trial(setup, scene, index) for index in indices]
 
 
 @functools.lru_cache(maxsize=1)
-def _loaded(scene: str, *defines: tuple[str, str]) -> Any:
+def _loaded(scene: str, of_it: Wanted, *defines: tuple[str, str]) -> Any:
     """A process loads its scene once: the first render of a loaded scene costs as much as a trial."""
-    return load_scene(scene, **dict(defines))
+    return as_scene(SceneFile(scene, dict(defines)), of_it)[0]
 
 
 def _trial(setup: Setup, scene: Any, index: int) -> Trial:

@@ -30,13 +30,14 @@ from ..information.image_jacobian import ImageJacobian
 from ..information.subset import selected
 from ..jacobian.method import Paths
 from ..measure.measurement import measurement
-from ..measure.options import VALIDATING, MeasurementKeywords
+from ..measure.mitsuba_view import wanted
+from ..measure.options import VALIDATING, MeasurementKeywords, MeasurementOptions
 from ..noise import Gaussian
 from ..processes import in_processes
 from ..render.backend import same_variant
 from ..render.fingerprint import fingerprint, mask_fingerprint
 from ..render.lending import in_turn
-from ..render.scene import as_scene, load_scene
+from ..render.scene import SceneFile, as_scene
 from ..se3 import Array
 from .misfit import Anchor
 from .trial import Setup, Trial, run_trials
@@ -165,12 +166,13 @@ def validate(
     record = recorded(resume)
     options = {**VALIDATING, **options}
     named = dict(defines or {})
-    loaded = load_scene(scene, **named) if isinstance(scene, str | Path) else scene
+    source = SceneFile(scene, named) if isinstance(scene, str | Path) else scene
+    loaded, _ = as_scene(source, wanted(MeasurementOptions(**options)))
     anchor, jacobian, chosen, names = _expected(loaded, sigma, options)
     selection = dataclasses.asdict(jacobian.selection)
     settings = {
         "scene": str(scene) if isinstance(scene, str | Path) else names["scene"],
-        "scene_contents": fingerprint(as_scene(loaded)[0], scene, named),
+        "scene_contents": fingerprint(loaded, scene, named),
         "defines": named,
         "sigma": chosen,
         "perturb_deg": float(perturb_deg),
@@ -213,6 +215,8 @@ def _expected(
     many: MeasurementKeywords = {**options, "spp": _EXPECTED_SPP * options["spp"]}
     with measurement(scene, **many) as run:
         run = run.only()
+        if run.view.luminance:
+            raise TrialError("the film measures luminance alone; trials need pixel_format rgb")
         model = run.noise(None if sigma is None else Gaussian(sigma))[0]
         if not isinstance(model, Gaussian):
             raise TrialError("trials need Gaussian noise")

@@ -28,6 +28,7 @@ from ..jacobian.methods import METHODS, REFERENCE
 from ..noise import Gaussian
 from ..render.scene import as_scene
 from .measurement import measurement
+from .mitsuba_view import wanted
 from .options import CHECKING, MeasurementKeywords, MeasurementOptions
 
 AGREEMENT = 0.05
@@ -118,8 +119,8 @@ def check_jacobian(
     if unknown or not methods:
         raise OptionError(f"methods to check: {', '.join(CHECKED)}; got {', '.join(unknown) or 'none'}")
 
-    loaded, _ = as_scene(scene)
     options = {**CHECKING, **options}
+    loaded, _ = as_scene(scene, wanted(MeasurementOptions(**options)))
     with measurement(loaded, **options) as run:
         options["pixels"], given = run.mask, run.options
 

@@ -39,6 +39,10 @@ class Measurable(Protocol):
         """`world_from_camera`, 4x4, rigid."""
 
     @property
+    def luminance(self) -> bool:
+        """Whether the camera has one channel, the luminance of R, G and B."""
+
+    @property
     def camera(self) -> Camera:
         """Intrinsics."""
 
@@ -81,6 +85,13 @@ class Measurable(Protocol):
 
     def precision_limits(self) -> Sequence[str]:
         """Where the arithmetic is too coarse for the derivative, each in a sentence."""
+
+    def nothing_visible(self, *, black: bool = False) -> str:
+        """Why the image shows nothing, in a sentence; empty if it shows something.
+
+        Args:
+            black: it is known to be black; then the answer is not empty.
+        """
 
     def provenance(self) -> dict[str, Any]:
         """What else the numbers depend on, JSON-able."""

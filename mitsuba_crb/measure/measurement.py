@@ -28,14 +28,15 @@ from ..information.image_jacobian import ImageJacobian
 from ..information.joint import JointAccumulator, JointInformation, tile_side
 from ..information.linearisation import Linearisation, PixelSelection
 from ..jacobian.method import Estimates, Method, Paths, Tile
-from ..noise import CoupledNoise, Gaussian, NoiseModel
+from ..noise import CoupledNoise, Gaussian, Luminance, NoiseModel
+from ..noise.colour import REC709
 from ..render import llvm
 from ..render.backend import use_mitsuba
 from ..render.random import PILOT
 from ..render.rays import coarse_grid
 from .measurable import Measurable
 from .mitsuba_view import open_measurable
-from .nuisances import Nuisance, nuisance_columns
+from .nuisances import Nuisance, name_parameters, nuisance_columns
 from .options import MeasurementKeywords, MeasurementOptions
 from .tile_jacobian import TileJacobian
 
@@ -123,6 +124,10 @@ class Measurement:
     def noise(self, model: NoiseModel | None) -> tuple[NoiseModel, str]:
         """The noise model, checked against the image, and where it came from."""
         found, origin = (as_noise_model(model), "given") if model is not None else self._default_noise()
+        if self.view.luminance and not isinstance(found, Luminance):
+            if isinstance(found, CoupledNoise):
+                raise NoiseError("coupled noise needs pixel_format rgb; the film measures luminance")
+            found = Luminance(found)
         found.check(self.mask.shape[0], self.mask.shape[1], 3)
         return found, origin
 
@@ -131,11 +136,14 @@ class Measurement:
         finish = self.view.start_image(grid, Paths(PILOT_SPP, self.options.seed, 1), purpose=PILOT)
         _ = self.method  # while these paths are traced
         pilot = finish()
+        if self.view.luminance:
+            pilot = pilot @ np.array(REC709)
         finite = pilot[np.isfinite(pilot)]
         white = float(np.percentile(finite, 99.0)) if finite.size else 0.0
         if not white > 0.0:
             raise NoiseError(
-                "the image is black, so no default noise follows from it: give --sigma X (noise.Gaussian(X))"
+                f"the image is black ({self.view.nothing_visible(black=True)}), so no default noise follows "
+                "from it: give --sigma X (noise.Gaussian(X))"
             )
         return Gaussian(RELATIVE_SIGMA * white), (
             f"{RELATIVE_SIGMA:g} of the image's white {white:.3g}, the 99th percentile of a pilot render"
@@ -259,7 +267,8 @@ class Measurement:
                 others = nuisance_columns(self.nuisances, self.view, pixels, images, film, self.paths)
             done += len(pixels)
             expected = self._expected(pixels, image) if pilot else None
-            tile = TileJacobian(values, pixels, image, others, expected).finite()
+            luminance = self.view.luminance
+            tile = TileJacobian(values, pixels, image, others, expected, luminance).finite()
             invalid += len(pixels) - len(tile.pixels)
             if self.options.on_tile is not None:
                 self.options.on_tile(tile, done, total)
@@ -298,7 +307,7 @@ def measurement(
 ) -> Iterator[Measurement]:
     """A view, opened as `MeasurementOptions` and `pose_bound` say; unchanged afterwards."""
     given = MeasurementOptions(**options)
-    with open_measurable(scene, given) as view:
+    with open_measurable(scene, given, apart=name_parameters(nuisances)) as view:
         method = method_of(view, given.method)
         mask, selection = subset.choose(
             given.pixels, view.size, given.seed, lambda: _pilot_image(view, given.seed, given.tile)

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from ..jacobian import lint
 from ..jacobian.method import Method, Paths
 from ..jacobian.methods import METHODS
+from ..render import visibility
+from ..render.fit import Wanted
 from ..render.pixels import start_pixels, summed
 from ..render.view import View, open_view
 from .nuisances import Nuisance, open_nuisances
@@ -53,21 +55,32 @@ class MitsubaView(View):
         """See `Measurable.precision_limits`."""
         return lint.precision_findings(self)
 
+    def nothing_visible(self, *, black: bool = False) -> str:
+        """See `Measurable.nothing_visible`."""
+        return visibility.nothing_lit(self) if black else visibility.nothing_visible(self)
+
     def provenance(self) -> dict[str, Any]:
-        """The integrator's name."""
+        """The integrator's name and the field of view [deg] along x and y; that of a luminance film, too."""
         python = type(self.integrator).__module__ != "mitsuba"
         name = type(self.integrator).__name__ if python else self.integrator.class_name()
-        return {"integrator": name}
+        film = {"film": "luminance"} if self.luminance else {}
+        return {"integrator": name, "fov_deg": self.camera.field_of_view_deg, **film}
+
+
+def wanted(options: MeasurementOptions) -> Wanted:
+    """What the options ask of a scene before it is loaded."""
+    return Wanted(options.sensor, options.size, options.integrator is not None)
 
 
 @contextlib.contextmanager
-def open_measurable(scene: Any, options: MeasurementOptions) -> Iterator[MitsubaView]:
-    """The view of a scene's camera that the options ask for; errors as `open_view`."""
+def open_measurable(scene: Any, options: MeasurementOptions, *, apart: bool = False) -> Iterator[MitsubaView]:
+    """The view of a scene's camera that the options ask for; arguments and errors as `open_view`."""
     with open_view(
         scene,
         sensor=options.sensor,
         pose=options.pose,
         integrator=options.integrator,
         size=options.size,
+        apart=apart,
     ) as view:
         yield MitsubaView(*(getattr(view, field.name) for field in dataclasses.fields(view)))

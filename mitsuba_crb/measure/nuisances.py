@@ -18,6 +18,7 @@ random numbers, so that their noise is not taken for information (`ustatistic`).
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -73,6 +74,11 @@ class Nuisance:
         if self.rendered:
             return [parameter.columns(view, pixels, paths) for parameter in self.rendered]
         return [images[..., None] if self.name.startswith("gain") else np.ones((*images.shape, 1))]
+
+
+def name_parameters(names: Sequence[str]) -> bool:
+    """Whether one of these is a parameter of the scene itself."""
+    return any(name.partition(":")[0] not in NAMES for name in names)
 
 
 def open_nuisances(view: View, names: Sequence[str], method: type[Method]) -> tuple[Nuisance, ...]:
@@ -198,7 +204,13 @@ def _no_such(name: str, parameters: mi.SceneParameters) -> str:
         key
         for key in parameters.keys()  # noqa: SIM118  iterating over the object itself gives pairs
         if not int(parameters.flags(key)) & int(mi.ParamFlags.NonDifferentiable)
+        # Mitsuba calls what has no id by its address, which is another one the next time.
+        and not re.search(r"(object|_unnamed)_(0x)?[0-9a-f]{6,}", key)
     ]
     near = difflib.get_close_matches(name, [*NAMES, *usable], n=4, cutoff=0.5)
     listed = ", ".join(near or [*NAMES, *usable[:8]])
-    return f"no nuisance or scene parameter is named {name}; {'near ones' if near else 'there are'}: {listed}"
+    merged = "; equal meshes and materials of an mi.Scene may be merged: give its file" if "." in name else ""
+    return (
+        f"no nuisance or scene parameter is named {name}; {'near ones' if near else 'there are'}: {listed}"
+        f"{merged}"
+    )

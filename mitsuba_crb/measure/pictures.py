@@ -13,6 +13,7 @@ from ..information.identifiability import weakest_direction
 from ..information.pixel_information import along, pixel_information
 from ..information.significance import identified
 from ..information.symmetric import pack
+from ..noise import Gaussian, Luminance
 
 if TYPE_CHECKING:
     from ..information.fisher import FisherInformation
@@ -61,6 +62,8 @@ class Gathering:
         mean: npt.NDArray[np.float64],
         batch_values: npt.NDArray[np.float64],
         expected: npt.NDArray[np.float64] | None = None,
+        *,
+        luminance: bool = False,
     ) -> None:
         """Take over some pixels.
 
@@ -69,9 +72,13 @@ class Gathering:
             mean: (n, C) the image there.
             batch_values: (K, n, C, 6) independent estimates of dI/dξ in the camera frame.
             expected: (n, C) the image by other random numbers, for noise that depends on it; None: `mean`.
+            luminance: the noise is that of one channel, the luminance.
         """
         expected = mean if expected is None else expected
-        weights = np.ones_like(mean) if self._noise is None else self._noise.weights(pixels, expected)
+        noise = self._noise
+        if luminance and not isinstance(noise, Luminance):
+            noise = Luminance(Gaussian(1.0) if noise is None else noise)
+        weights = np.ones_like(mean) if noise is None else noise.weights(pixels, expected)
         values = np.mean(batch_values, axis=0).astype(np.float32)
         own = pixel_information(batch_values, weights)
         self._tiles.append((np.array(pixels), mean.astype(np.float32), values, own))

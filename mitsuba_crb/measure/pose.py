@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any, Unpack
 
 from ..bound.cramer_rao import PoseBound, joint_bound
+from ..errors import SceneWarning
 from ..information.image_jacobian import ImageJacobian
 from ..noise import NoiseModel
 from ..render.lending import in_turn
@@ -72,6 +73,7 @@ def pose_bound(
         MitsubaCRBError: as `pose_jacobian`.
 
     Warns:
+        SceneWarning: nothing is visible, or something of the scene was left out or replaced.
         NuisanceWarning: the image does not see a nuisance.
     """
     start = time.perf_counter()
@@ -81,6 +83,9 @@ def pose_bound(
             warnings.simplefilter("always")
             with measurement(scene, nuisances=nuisances, **options) as run:
                 model, origin = run.noise(noise)
+                nothing = run.view.nothing_visible()
+                if nothing:
+                    warnings.warn(nothing, SceneWarning, stacklevel=2)
                 run.warn_of_limits()
                 prepared = time.perf_counter()
                 joint = run.joint_information(model)

@@ -9,7 +9,7 @@ import dataclasses
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Unpack
+from typing import Any, Unpack
 
 from numpy.typing import ArrayLike
 
@@ -18,10 +18,11 @@ from ..bound.hcr import HCRBound
 from ..bound.prior import load_prior
 from ..errors import OptionError
 from ..noise import CoupledNoise, NoiseModel
-from ..render.scene import load_scene
+from ..render.scene import SceneFile, as_scene
 from ..se3 import Frame
 from .displaced import hcr_bound
-from .options import MeasurementKeywords
+from .mitsuba_view import wanted
+from .options import MeasurementKeywords, MeasurementOptions
 from .pictures import Gathering, Pictures
 from .pose import pose_bound
 from .tile_jacobian import TileJacobian
@@ -92,24 +93,26 @@ def bound_report(
         gathering = Gathering(noise)
     known = load_prior(prior) if prior else None
     named = dict(defines or {})
-    loaded = load_scene(scene, **named)
-    load = time.perf_counter() - start
+    source: Any = SceneFile(scene, named)
+    if hcr:  # which has no nuisances, so that one loaded scene serves both
+        source, _ = as_scene(source, wanted(MeasurementOptions(**options)))
     bound = pose_bound(
-        loaded, noise, prior=known, nuisances=nuisances, **_gathered(options, gathering)
+        source, noise, prior=known, nuisances=nuisances, **_gathered(options, gathering)
     ).to_frame(frame)
-    beyond = hcr_bound(loaded, noise, displacements=displacements, **options) if hcr else None
+    beyond = hcr_bound(source, noise, displacements=displacements, **options) if hcr else None
     facts = {
         **bound.provenance,
         "scene": str(scene),
         "defines": named,
-        "seconds": {"load": load, **bound.provenance["seconds"], "total": time.perf_counter() - start},
+        "seconds": {**bound.provenance["seconds"], "total": time.perf_counter() - start},
     }
     if prior:
         facts["prior"] = str(prior)
     shown = None
     if gathering is not None:
         width, height = facts["size"]
-        variance = facts["noise"]["sigma"] ** 2 if noise is None else 1.0
+        model = facts["noise"].get("noise", facts["noise"])
+        variance = model["sigma"] ** 2 if noise is None else 1.0
         shown = gathering.pictures(bound.information, (width, height), frame=frame, variance=variance)
     return BoundReport(dataclasses.replace(bound, provenance=facts), beyond, shown)
 
@@ -121,7 +124,7 @@ def _gathered(options: MeasurementKeywords, gathering: Gathering | None) -> Meas
     told = options.get("on_tile")
 
     def on_tile(tile: TileJacobian, done: int, total: int) -> None:
-        gathering.add(tile.pixels, tile.mean, tile.batch_values, tile.expected)
+        gathering.add(tile.pixels, tile.mean, tile.batch_values, tile.expected, luminance=tile.luminance)
         if told is not None:
             told(tile, done, total)
 

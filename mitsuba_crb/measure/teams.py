@@ -24,7 +24,7 @@ from ..bound.cramer_rao import PoseBound
 from ..errors import MitsubaCRBError
 from ..processes import in_processes
 from ..render.backend import same_variant
-from ..render.scene import load_scene
+from ..render.scene import SceneFile
 from .pose import pose_bound
 from .tile_jacobian import TileJacobian
 from .tiles import tile_information
@@ -204,7 +204,7 @@ def _outcome(work: tuple[Callable[[Job], Any], Job]) -> _Outcome:
 
 def _bound(job: Job) -> PoseBound:
     member = job.member
-    return pose_bound(load_scene(member.scene, **member.defines), member.noise, **job.options)
+    return pose_bound(SceneFile(member.scene, member.defines), member.noise, **job.options)
 
 
 def _tiles(job: Job) -> tuple[TileInformation, NDArray[np.float32]]:
@@ -215,7 +215,7 @@ def _tiles(job: Job) -> tuple[TileInformation, NDArray[np.float32]]:
         parts.append((part.pixels, part.mean))
 
     information = tile_information(
-        load_scene(member.scene, **member.defines),
+        SceneFile(member.scene, member.defines),
         member.noise,
         agent=member.name,
         on_tile=on_tile,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ class TileJacobian:
     """(K, n, 3, m) estimates of the derivatives in the nuisance parameters; None without any."""
     pilot: NDArray[np.float64] | None = None
     """(n, 3) the image there by other random numbers; None where no noise depends on it."""
+    luminance: bool = False
+    """Whether the noise is that of one channel, the luminance."""
 
     def finite(self) -> TileJacobian:
         """Without the pixels at which anything is NaN or infinite."""
@@ -35,7 +37,14 @@ class TileJacobian:
         )
         others = None if self.nuisance_values is None else self.nuisance_values[:, good]
         pilot = None if self.pilot is None else self.pilot[good]
-        return TileJacobian(self.batch_values[:, good], self.pixels[good], self.mean[good], others, pilot)
+        return replace(
+            self,
+            batch_values=self.batch_values[:, good],
+            pixels=self.pixels[good],
+            mean=self.mean[good],
+            nuisance_values=others,
+            pilot=pilot,
+        )
 
     @property
     def expected(self) -> NDArray[np.float64]:

@@ -12,13 +12,12 @@ import json
 import os
 import re
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .scene import contents
+from .scene import SceneFile, contents, read_file
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -59,11 +58,7 @@ def _loaded(scene: mi.Scene) -> Iterator[bytes]:
 
 
 def _written(source: Any, defines: Mapping[str, str] | None) -> Iterator[bytes]:
-    import mitsuba as mi
-
     if isinstance(source, Mapping):
         yield json.dumps(source, sort_keys=True, default=lambda value: type(value).__name__).encode()
     elif isinstance(source, str | os.PathLike):
-        config = mi.parser.ParserConfig(mi.variant())
-        state = mi.parser.parse_file(config, os.fspath(source), **dict(defines or {}))
-        yield from (Path(str(file)).read_bytes() for file in state.files)
+        yield from (file.read_bytes() for file in read_file(SceneFile(source, defines or {})).files)

@@ -5,16 +5,37 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import sys
+import warnings
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import SceneError
+from ..errors import SceneError, SceneWarning
 from .backend import use_mitsuba
+from .cures import cured, innermost, property_cure
+from .fit import Wanted, fit
+from .instantiate import instantiate
 from .lending import turns
+from .scene_file import Parsed, at, parse
 
 if TYPE_CHECKING:
     import mitsuba as mi
+
+_MOST_NAMED = 12
+"""Faults that one message names."""
+
+
+@dataclass(frozen=True)
+class SceneFile:
+    """A scene's file with its `<default>`s, to be loaded as it is measured: its image of another shape, its
+    meshes apart if their parameters are asked for."""
+
+    path: str | os.PathLike[str]
+    """Of the XML file."""
+    defines: Mapping[str, str] = field(default_factory=dict)
+    """Values of its `<default>`s."""
 
 
 @contextlib.contextmanager
@@ -31,63 +52,50 @@ def _loading() -> Iterator[None]:
             dr.set_thread_count(threads)
 
 
+@contextlib.contextmanager
+def _names_relative_to(folder: Path) -> Iterator[None]:
+    """Mitsuba finds files in this folder first."""
+    import mitsuba as mi
+
+    before = mi.file_resolver()
+    own = mi.FileResolver(before)
+    own.prepend(str(folder))
+    mi.set_file_resolver(own)
+    try:
+        yield
+    finally:
+        mi.set_file_resolver(before)
+
+
 def load_scene(path: str | os.PathLike[str], /, **defines: str) -> mi.Scene:
     """Load a Mitsuba XML file; `defines` set its `<default>` values.
 
     Raises:
-        SceneError: in one line, what is wrong with which line of the file.
+        SceneError: in one line, all that is wrong with the file, with lines and cures.
+
+    Warns:
+        SceneWarning: something in it that is not needed was left out or replaced.
     """
     use_mitsuba()
+    return _from_file(SceneFile(path, defines), Wanted())
+
+
+def read_file(source: SceneFile) -> Parsed:
+    """What Mitsuba's parser makes of a file; errors as `parse`."""
     import mitsuba as mi
 
-    file = Path(path)
-    if os.path.isdir(file):
-        raise SceneError(f"{file} is a folder; name the scene's .xml file")
-    if not os.path.isfile(file):
-        raise SceneError(f"no scene file at {file}")
-    try:
-        with _loading():
-            scene = mi.load_file(str(file), **{key: str(value) for key, value in defines.items()})
-    except Exception as error:  # Mitsuba raises RuntimeError and others for a bad scene file
-        raise SceneError(parser_message(error, file)) from error
-    if not isinstance(scene, mi.Scene):
-        raise SceneError(f"{file} holds no <scene> at its top")
-    return scene
+    file = Path(source.path)
+    defines = {key: str(value) for key, value in source.defines.items()}
+    with _loading(), _names_relative_to(file.parent):
+        return parse(mi.parser.ParserConfig(mi.variant()), file, defines)
 
 
-def parser_message(error: Exception, file: Path) -> str:
-    """Mitsuba's parser message in one line, with what to do about it."""
-    # Mitsuba quotes what it cannot read, which need not be text.
-    message = error.object.decode(errors="replace") if isinstance(error, UnicodeDecodeError) else str(error)
-    text = re.sub(r"\[\w+\.cpp:\d+\]\s*", "", message)
-    text = re.sub(r"\s*\n\s*-?\s*", " ", text).strip()
-    unused = re.search(r"unused parameters?: ?(.*)", text)
-    if unused:
-        names = re.findall(r"\$(\w+)=", unused.group(1))
-        known = re.findall(r'<default\s+name="([^"]+)"', file.read_text(errors="replace"))
-        return (
-            f"{file} has no <default> named {', '.join(names)}; "
-            f"it has {', '.join(known) if known else 'none at all'}"
-        )
-    if "<animation>" in text:
-        cure = "animated transforms are not supported: give the sensor one <transform>"
-    elif "unreferenced propert" in text:
-        cure = "Mitsuba 3 does not know this property: remove or rename it"
-    elif re.search(r'[Pp]lugin "?\w+"? not found', text):
-        cure = "Mitsuba 3 has no plugin of this name: check its spelling or replace it"
-    elif "undefined parameter" in text:
-        cure = "give it a value with -D name=value or add a <default>"
-    elif "file not found" in text or "No such file" in text:
-        cure = "put the file there or correct its name (paths are relative to the scene's folder)"
-    else:
-        cure = "correct the scene file"
-    if str(file) not in text:
-        text = f"{file}: {text}"
-    return f"{text.rstrip('!.')}; {cure}"
+def as_scene(scene: Any, wanted: Wanted | None = None) -> tuple[mi.Scene, str]:
+    """The scene of a path, a `SceneFile`, a dictionary or a scene, and what to call it.
 
-
-def as_scene(scene: Any) -> tuple[mi.Scene, str]:
-    """The scene of a path, a dictionary or a scene, and what to call it.
+    Args:
+        scene: any of these; an `mi.Scene` is taken as it is.
+        wanted: what is going to be measured of it.
 
     Raises:
         SceneError: it is none of these, was loaded under another variant, cannot be loaded, or has a mesh
@@ -95,7 +103,7 @@ def as_scene(scene: Any) -> tuple[mi.Scene, str]:
     """
     use_mitsuba()
     with _loading():
-        loaded, label = _loaded(scene)
+        loaded, label = _loaded(scene, wanted or Wanted())
     for shape in loaded.shapes():
         if shape.is_mesh() and not shape.face_count():
             raise SceneError(f"mesh {shape.id()} has no faces, which Mitsuba cannot trace; remove it")
@@ -122,24 +130,91 @@ def contents(root: mi.Object) -> list[mi.Object]:
     return list(found.values())
 
 
-def _loaded(scene: Any) -> tuple[mi.Scene, str]:
+def _loaded(scene: Any, wanted: Wanted) -> tuple[mi.Scene, str]:
     import mitsuba as mi
 
     if isinstance(scene, mi.Scene):
         return scene, "mi.Scene"
     if isinstance(scene, Mapping):
-        try:
-            loaded = mi.load_dict(dict(scene))
-        except Exception as error:  # Mitsuba raises RuntimeError and others for a bad dictionary
-            raise SceneError(parser_message(error, Path("dict"))) from error
+        loaded = _from_dictionary(scene, wanted)
         if not isinstance(loaded, mi.Scene):
             raise SceneError("the dictionary is no scene: it needs 'type': 'scene' at its top")
         return loaded, "dict"
     if isinstance(scene, str | os.PathLike):
-        return load_scene(scene), os.fspath(scene)
+        scene = SceneFile(scene)
+    if isinstance(scene, SceneFile):
+        return _from_file(scene, wanted), os.fspath(scene.path)
     variant = getattr(scene, "variant_name", str)()
     if variant not in ("", mi.variant()):
         raise SceneError(
             f"this scene was loaded under variant {variant}, and {mi.variant()} is set now: load it again"
         )
     raise SceneError(f"a scene is a path, a dictionary or an mi.Scene, not {type(scene).__name__}")
+
+
+def _from_file(source: SceneFile, wanted: Wanted) -> mi.Scene:
+    import mitsuba as mi
+
+    file = Path(source.path)
+    parsed = read_file(source)
+    with _loading(), _names_relative_to(file.parent):
+        loaded = _made(parsed, wanted, file)
+    if not isinstance(loaded, mi.Scene):
+        raise SceneError(f"{file} holds no <scene> at its top")
+    return loaded
+
+
+def _from_dictionary(scene: Mapping[str, Any], wanted: Wanted) -> Any:
+    import mitsuba as mi
+
+    try:
+        state = mi.parser.parse_dict(mi.parser.ParserConfig(mi.variant()), dict(scene))
+    except Exception as error:  # Mitsuba raises RuntimeError and others for a bad dictionary
+        where, cause = innermost(error)
+        raise SceneError(f"dict: {at(where, None)}{cured(cause)}") from error
+    return _made(Parsed(state), wanted, None)
+
+
+def _made(parsed: Parsed, wanted: Wanted, file: Path | None) -> Any:
+    """The object of a parsed scene; all that is wrong with it in one message, all it goes without in one."""
+    import mitsuba as mi
+
+    state, config = parsed.state, mi.parser.ParserConfig(mi.variant())
+    if state is None:
+        raise SceneError(_named(file or "dict", parsed.faults))
+    faults: list[str] = list(parsed.faults)
+    notes: list[str] = []
+    made: Any = None
+    unread: list[str] = []
+    try:
+        if state.versions:
+            mi.parser.transform_upgrade(config, state)
+        mi.parser.transform_resolve(config, state)
+        if str(state.nodes[0].type).endswith("Scene"):
+            notes = fit(state, wanted)
+        if not wanted.apart:
+            mi.parser.transform_merge_equivalent(config, state)
+            mi.parser.transform_merge_meshes(config, state)
+    except Exception as error:  # as when it is parsed
+        where, cause = innermost(error)
+        faults.append(f"{at(where, file)}{cured(cause)}")
+    else:
+        made, more, unread = instantiate(config, state, file)
+        faults += more
+    if faults:
+        faults += [f"{name}: {property_cure(name.split()[0])}" for name in unread]
+        raise SceneError(_named(file or "dict", faults))
+    left_out = [*parsed.left_out, *unread]
+    if left_out:
+        notes.append(f"left out, for Mitsuba 3 has no such thing: {', '.join(left_out)}")
+    if notes:
+        warnings.warn("; ".join(notes), SceneWarning, stacklevel=5)
+    return made
+
+
+def _named(file: Path | str, faults: list[str]) -> str:
+    """All faults in one message, in the order of their lines; what has none comes last."""
+    lines = {fault: re.match(r"line (\d+):", fault) for fault in faults}
+    faults = sorted(lines, key=lambda fault: int(found[1]) if (found := lines[fault]) else sys.maxsize)
+    more = [f"and {len(faults) - _MOST_NAMED} more"] if len(faults) > _MOST_NAMED else []
+    return f"{file}: " + "; ".join([*faults[:_MOST_NAMED], *more])

@@ -13,18 +13,30 @@ import contextlib
 import functools
 import os
 import re
+import traceback
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
-from ..errors import FilmError, IntegratorError, SensorError
+from ..camera import image_size
+from ..errors import (
+    FilmError,
+    MitsubaCRBError,
+    OptionError,
+    SceneWarning,
+    SensorError,
+    TracingError,
+)
+from .cures import one_line
+from .fit import CROP_DROPPED, Wanted, find
+from .integrators import find_integrator
 from .lending import at_identity, turns
-from .scene import as_scene, parser_message
+from .scene import SceneFile, as_scene, contents
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -36,15 +48,6 @@ if TYPE_CHECKING:
 
 SENSORS = {"PerspectiveCamera": "perspective", "ThinLensCamera": "thinlens"}
 """Supported sensors: Mitsuba's class name, and the plugin's."""
-
-
-_NO_RADIANCE = {
-    "AOVIntegrator": "aov",
-    "MomentIntegrator": "moment",
-    "DepthIntegrator": "depth",
-    "StokesIntegrator": "stokes",
-    "ParticleTracerIntegrator": "ptracer",
-}
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,8 @@ class View:
     """The scene's file, or what kind of object it came from."""
     recorder: Recorder
     """Of the scene's kernels."""
+    luminance: bool = False
+    """Whether the film has one channel, the luminance, in place of R, G and B."""
 
     @functools.cached_property
     def camera(self) -> Camera:
@@ -98,18 +103,40 @@ class View:
         return float(self.sensor.near_clip())
 
 
+@contextlib.contextmanager
+def tracing(integrator: mi.Integrator) -> Iterator[None]:
+    """What Mitsuba, Dr.Jit or the integrator's own module raises meanwhile becomes one line."""
+    try:
+        yield
+    except Exception as error:
+        cause: BaseException = error
+        while cause.__cause__ or cause.__context__:
+            cause = cause.__cause__ or cause.__context__ or cause
+        *_, (frame, _line) = traceback.walk_tb(cause.__traceback__)
+        origin = str(frame.f_globals.get("__name__", ""))
+        # What C++ raises is a RuntimeError, and its last frame that of the caller.
+        compiled = type(cause) is RuntimeError and origin.startswith(f"{__package__.partition('.')[0]}.")
+        python = origin.startswith(("mitsuba.", "drjit")) or origin == type(integrator).__module__
+        if isinstance(error, MitsubaCRBError) or not (compiled or python):
+            raise
+        name = type(integrator).__name__
+        text = one_line(cause) or type(cause).__name__
+        raise TracingError(f"the scene cannot be traced with integrator {name}: {text}") from error
+
+
 _kept: list[tuple[mi.Scene, Recorder]] = []
 """The last scene that was given as such."""
 
 
 @contextlib.contextmanager
 def open_view(
-    scene: str | os.PathLike[str] | Mapping[str, Any] | mi.Scene,
+    scene: str | os.PathLike[str] | SceneFile | Mapping[str, Any] | mi.Scene,
     *,
     sensor: int | str = 0,
     pose: Any = None,
     integrator: Any = None,
     size: tuple[int, int] | None = None,
+    apart: bool = False,
 ) -> Iterator[View]:
     """Load what is not loaded, check it, and lend it as a `View`; restores the sensor afterwards.
 
@@ -117,11 +144,13 @@ def open_view(
     Another thread's view waits until this one is closed.
 
     Args:
-        scene: path of an XML file, a dictionary for `mi.load_dict`, or an `mi.Scene`.
-        sensor: index in the file's order, or id.
+        scene: path of an XML file, a `SceneFile`, a dictionary for `mi.load_dict`, or an `mi.Scene`.
+        sensor: index in the file's order, or id; also of a child of a batch sensor in a file or dictionary.
         pose: `world_from_camera` (4x4 or SciPy `RigidTransform`) in place of the file's `to_world`.
         integrator: an `mi.Integrator`, a plugin's name, or a dictionary, in place of the scene's.
-        size: width and height in place of the film's [pixel]; removes a crop window.
+        size: width and height in place of the film's [pixel]; removes a crop window. The field of view is
+            what the file says, along the axis that it names; of an `mi.Scene` the shape has to stay.
+        apart: every mesh and material of a file or dictionary is an object of its own.
 
     Raises:
         SceneError, SensorError, FilmError, IntegratorError, PoseError, OptionError, VariantError, LLVMError.
@@ -129,7 +158,8 @@ def open_view(
     with turns:
         if _kept and _kept[0][0] is not scene:
             _kept.clear()
-        loaded, label = as_scene(scene)
+        size = None if size is None else image_size(size)
+        loaded, label = as_scene(scene, Wanted(sensor, size, integrator is not None, apart))
         from .recorded import Recorder
 
         recorder = Recorder(loaded)
@@ -137,35 +167,44 @@ def open_view(
             recorder = _kept[0][1]
         _kept[:] = [(loaded, recorder)] if loaded is scene else []
         camera, variable = _find_sensor(loaded, sensor)
-        _check_film(camera.film())
-        radiance = _find_integrator(loaded, integrator)
+        luminance = _check_film(camera.film())
+        _check_shape(camera, variable, size)
+        radiance = find_integrator(loaded, camera, integrator)
         with at_identity(camera, variable, size) as to_world:
             found = (to_world, "the sensor's to_world") if pose is None else (pose,)
             world_from_camera = se3.as_pose(*found)
             width, height = camera.film().crop_size()
             size = int(width), int(height)
-            yield View(loaded, camera, radiance, world_from_camera, size, variable, label, recorder)
+            view = View(
+                loaded, camera, radiance, world_from_camera, size, variable, label, recorder, luminance
+            )
+            with tracing(radiance):
+                yield view
 
 
 def _find_sensor(scene: mi.Scene, which: int | str) -> tuple[mi.Sensor, str]:
     sensors = scene.sensors()
     if not sensors:
         raise SensorError("the scene has no sensor: add a <sensor type='perspective'>")
-    named = [re.sub(r"^(object_|_unnamed_).*", "", s.id()) for s in sensors]
-    if isinstance(which, str) and which in named:
-        index = named.index(which)
-    elif isinstance(which, str) and not re.fullmatch(r"-?\d+", which):
-        known = ", ".join(name for name in named if name) or "none"
+    # Mitsuba names what has no name by its address, if at all.
+    named = [re.sub(r"^(object|_unnamed)_(0x)?[0-9a-f]{6,}$|^object_0x.*", "", s.id()) for s in sensors]
+    index = find(named, which)
+    if index is None:
+        known = ", ".join(name for name in [*named, *_children(sensors)] if name) or "none"
         raise SensorError(
             f"the scene has no sensor with id {which!r}; ids: {known}; indices: 0 to {len(sensors) - 1}"
         )
-    else:
-        index = int(which)
-        if not 0 <= index < len(sensors):
-            raise SensorError(
-                f"sensor index {index} is out of range: the scene has {len(sensors)}, 0 to {len(sensors) - 1}"
-            )
+    if not 0 <= index < len(sensors):
+        raise SensorError(
+            f"sensor index {index} is out of range: the scene has {len(sensors)}, 0 to {len(sensors) - 1}"
+        )
     sensor = sensors[index]
+    if sensor.class_name() == "BatchSensor":
+        parts = _children([sensor], index)
+        raise SensorError(
+            f"sensor {named[index] or index} is a batch of {', '.join(parts)}: name one of them, such as "
+            f"--sensor {parts[0]} (sensor={parts[0]!r}), and give the scene's file or dictionary"
+        )
     if sensor.class_name() not in SENSORS:
         raise SensorError(
             f"sensor {named[index] or index} is a {sensor.class_name()}; "
@@ -174,35 +213,42 @@ def _find_sensor(scene: mi.Scene, which: int | str) -> tuple[mi.Sensor, str]:
     return sensor, named[index] or f"sensor {index}"
 
 
-def _check_film(film: mi.Film) -> None:
+def _children(sensors: list[mi.Sensor], first: int = 0) -> list[str]:
+    """Names of what batch sensors consist of: ids, or the batch's index and the place in it."""
+    import mitsuba as mi
+
+    names = []
+    for index, sensor in enumerate(sensors, first):
+        if sensor.class_name() == "BatchSensor":
+            parts = [part for part in contents(sensor)[1:] if isinstance(part, mi.Sensor)]
+            names += [part.id() or f"{index}:{number}" for number, part in enumerate(parts)]
+    return names
+
+
+def _check_film(film: mi.Film) -> bool:
+    """Whether a film measures luminance alone; linear RGB otherwise."""
     if film.class_name() != "HDRFilm":
         raise FilmError(f"the film is a {film.class_name()}; use hdrfilm with pixel_format rgb")
     found = re.search(r"pixel_format = (\w+)", str(film))
     pixel_format = found.group(1) if found else "unknown"
-    if pixel_format != "rgb":
-        name = {"y": "luminance", "ya": "luminance_alpha"}.get(pixel_format, pixel_format)
+    if pixel_format not in ("rgb", "rgba", "y", "ya"):
         raise FilmError(
-            f"the film's pixel_format is {name}, which does not measure linear RGB alone; set it to rgb"
+            f"the film's pixel_format is {pixel_format}, which does not measure linear RGB; set it to rgb"
         )
+    return pixel_format.startswith("y")
 
 
-def _find_integrator(scene: mi.Scene, integrator: Any) -> mi.SamplingIntegrator:
-    import mitsuba as mi
-
-    if integrator is None:
-        found = scene.integrator() or mi.load_dict({"type": "path"})
-    elif isinstance(integrator, str | Mapping):
-        config = {"type": integrator} if isinstance(integrator, str) else dict(integrator)
-        try:
-            found = mi.load_dict(config)
-        except Exception as error:
-            raise IntegratorError(parser_message(error, Path("integrator"))) from error
-    else:
-        found = integrator
-    if found.class_name() in _NO_RADIANCE or not isinstance(found, mi.SamplingIntegrator):
-        name = _NO_RADIANCE.get(found.class_name(), found.class_name())
-        raise IntegratorError(
-            f"integrator {name} returns no radiance for a ray; use path, direct, volpath or another "
-            "that does (integrator='path')"
+def _check_shape(sensor: mi.Sensor, name: str, size: tuple[int, int] | None) -> None:
+    """Refuse another shape of an image whose field of view is known along x alone, and say what is lost."""
+    if size is None:
+        return
+    film = sensor.film()
+    (across, down), (width, height) = film.size(), size
+    # As close to the film's shape as whole pixels can be.
+    if abs(width * down - height * across) >= max(across, down):
+        raise OptionError(
+            f"sensor {name} has {across}x{down} pixels, and {width}x{height} is another shape: its object "
+            "does not say which field of view to keep; give the scene's file or dictionary in its place"
         )
-    return found
+    if list(film.crop_size()) != list(film.size()):
+        warnings.warn(CROP_DROPPED, SceneWarning, stacklevel=4)

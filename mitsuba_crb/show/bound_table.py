@@ -31,7 +31,12 @@ def print_bound(console: Console, bound: PoseBound) -> None:
     """The six standard deviations with errors and units, the rank, and what the numbers rest on."""
     facts = bound.provenance
     width, height = facts["size"]
-    print_line(console, Text(Path(str(facts["scene"])).name, style="bold"), f"  {width}×{height} pixels")
+    across, down = facts["fov_deg"]
+    print_line(
+        console,
+        Text(Path(str(facts["scene"])).name, style="bold"),
+        f"  {width}×{height} pixels  {across:.1f}°×{down:.1f}° field of view",
+    )
     print_line(
         console, "No unbiased estimator of this camera's pose has smaller standard deviations than these:"
     )

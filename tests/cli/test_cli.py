@@ -26,22 +26,17 @@ from mitsuba_crb.measure import check as validation
 from mitsuba_crb.measure import options as measuring
 from mitsuba_crb.measure import report
 from mitsuba_crb.measure.tile_jacobian import TileJacobian
-from mitsuba_crb.render import scene
 
 WALL = str(Path(__file__).parents[2] / "scenes" / "textured_wall" / "textured_wall.xml")
 
 
 @pytest.fixture
 def rendered(monkeypatch):
-    """`pose_bound` and `load_scene` replaced by a synthetic view; records what they were given."""
+    """`pose_bound` replaced by a synthetic view; records what it was given."""
     calls = SimpleNamespace(view=synthetic_view.jacobian(), options=None, defines=None, rendered=False)
 
-    def load_scene(path, **defines):
-        calls.defines = defines
-        return "loaded"
-
-    def pose_bound(loaded, noise, *, on_tile, **options):
-        assert loaded == "loaded"
+    def pose_bound(source, noise, *, on_tile, **options):
+        calls.defines = source.defines
         calls.rendered, calls.options, calls.noise = True, options, noise
         warnings.warn("one thing to know", PrecisionWarning, stacklevel=2)
         view = calls.view
@@ -50,7 +45,6 @@ def rendered(monkeypatch):
             on_tile(tile, count * len(half), len(view.pixels))
         return synthetic_view.bound(view)
 
-    monkeypatch.setattr(report, "load_scene", load_scene)
     monkeypatch.setattr(report, "pose_bound", pose_bound)
     return calls
 
@@ -128,7 +122,7 @@ def test_all_outputs_are_written_and_agree(rendered, capsys, tmp_path, frame):
     assert document["frame"] == frame
     assert document["scene"] == "room.xml"
     assert document["warnings"] == ["one thing to know"]
-    assert {"load", "total"} <= set(document["seconds"])
+    assert {"prepare", "total"} <= set(document["seconds"])
     expected = synthetic_view.bound(rendered.view)
     np.testing.assert_allclose(document["position_std"], expected.position_std, rtol=1e-9)
     np.testing.assert_allclose(document["rotation_std_deg"], expected.rotation_std_deg, rtol=1e-9)
@@ -210,7 +204,6 @@ def test_what_is_said_of_the_view_reaches_the_library(monkeypatch, capsys, comma
         given.update(options)
         raise OptionError("as far as this goes")
 
-    monkeypatch.setattr(scene, "load_scene", lambda path: "loaded")
     monkeypatch.setattr(module, function, refuse)
     said = "--sensor left --method flow --spp 8 --seed 5 --batches 8 --size 20x10 --pixels random:0.5"
     refused(capsys, command, "room.xml", *said.split(), "--drop-invalid", "--pose", "1 2 3 0 0 0 1")
@@ -322,17 +315,17 @@ def test_outputs_never_overwrite_inputs(rendered, capsys, monkeypatch, tmp_path)
 
 
 def test_library_error_is_one_line_and_a_traceback_only_with_debug(capsys, monkeypatch):
-    def load_scene(path, **defines):
+    def pose_bound(*_, **options):
         raise SceneError("line 3 of room.xml\nis wrong")
 
-    monkeypatch.setattr(report, "load_scene", load_scene)
+    monkeypatch.setattr(report, "pose_bound", pose_bound)
     assert refused(capsys, "bound", "room.xml") == "mitsuba-crb: line 3 of room.xml is wrong\n"
     assert cli.run(["bound", "room.xml", "--debug"]) == 2
     assert "Traceback" in capsys.readouterr().err
 
 
 def test_unforeseen_error_shows_its_traceback_and_is_no_verdict(capsys, monkeypatch):
-    monkeypatch.setattr(report, "load_scene", lambda path: 1 / 0)
+    monkeypatch.setattr(report, "pose_bound", lambda *_, **options: 1 / 0)
     assert cli.run(["bound", "room.xml"]) == cli.INTERNAL_ERROR
     assert "ZeroDivisionError" in capsys.readouterr().err
 
@@ -388,7 +381,6 @@ def test_check_prints_columns_and_returns_the_verdict(monkeypatch, capsys, ratio
         np.full(6, ratio != 1),
     )
     result = validation.JacobianCheck((row,), 3 * spread, 0 * one)
-    monkeypatch.setattr(scene, "load_scene", lambda path: "loaded")
 
     def check_jacobian(loaded, **options):
         for _ in range(2):
@@ -410,7 +402,6 @@ def test_check_with_nothing_to_compare_says_so(monkeypatch, capsys):
     unknown = np.full(6, np.nan)
     row = validation.MethodCheck("forward", *[unknown] * 5, np.zeros(6, bool))
     result = validation.JacobianCheck((row,), np.inf, np.zeros(6))
-    monkeypatch.setattr(scene, "load_scene", lambda path: "loaded")
     monkeypatch.setattr(validation, "check_jacobian", lambda loaded, **options: result)
     assert cli.run(["check", "room.xml"]) == 3
     out = capsys.readouterr().out

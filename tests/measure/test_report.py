@@ -58,7 +58,7 @@ def test_nothing_is_beside_a_bound_that_nobody_asked_for(wall: Path) -> None:
     assert facts["scene"] == str(wall)
     assert facts["defines"] == {"spp": "8"}
     assert "prior" not in facts
-    assert facts["seconds"]["load"] <= facts["seconds"]["total"]
+    assert facts["seconds"]["prepare"] <= facts["seconds"]["total"]
 
 
 @pytest.mark.parametrize(
@@ -72,6 +72,6 @@ def test_nothing_is_beside_a_bound_that_nobody_asked_for(wall: Path) -> None:
 def test_what_does_not_go_together_is_refused_before_the_scene_is_read(
     wall: Path, monkeypatch: pytest.MonkeyPatch, options: Any, message: str
 ) -> None:
-    monkeypatch.setattr(report, "load_scene", None)
+    monkeypatch.setattr(report, "SceneFile", None)
     with pytest.raises(OptionError, match=message):
         bound_report(wall, **options, **OPTIONS)

@@ -19,7 +19,7 @@ from mitsuba_crb.render.arrays import upload
 from mitsuba_crb.render.recorded import Recorder, join, split
 from mitsuba_crb.render.view import open_view
 
-OPTIONS: dict[str, Any] = {"spp": 16, "size": (24, 16)}
+OPTIONS: dict[str, Any] = {"spp": 16, "size": (24, 18)}
 SCENE = scene(
     wall=wall(texture()),
     ball={"type": "sphere", "center": [0.3, 0.1, 2.0], "radius": 0.3, "bsdf": {"type": "roughplastic"}},
@@ -206,7 +206,7 @@ def test_views_seeds_subsets_and_sizes_are_what_tracing_gives(
         {"sensor": "lens"},
         {"pose": pose, "seed": 1 << 40},
         {"pixels": "random:0.2"},
-        {"size": (16, 24), "spp": 8, "batches": 8},
+        {"size": (16, 12), "spp": 8, "batches": 8},
         {"nuisances": ["fov", "principal_point"]},
         {"sensor": "boxed"},
         {"integrator": "prb"},

@@ -22,10 +22,12 @@ from mitsuba_crb.errors import (
     OptionError,
     PoseError,
     SceneError,
+    SceneWarning,
     SensorError,
+    TracingError,
 )
 from mitsuba_crb.noise import Gaussian
-from mitsuba_crb.render.scene import load_scene
+from mitsuba_crb.render.scene import SceneFile, load_scene
 from mitsuba_crb.render.view import View, open_view
 
 SENSOR = '<sensor type="perspective"><film type="hdrfilm"/></sensor>'
@@ -127,10 +129,12 @@ def test_a_default_changes_the_scene(tmp_path: Path) -> None:
         + SENSOR.replace("><film", '><float name="fov" value="$fov"/><film'),
     )
     with (
-        open_view(load_scene(path), size=(8, 8)) as narrow,
-        open_view(load_scene(path, fov="90"), size=(8, 8)) as wide,
+        open_view(load_scene(path), size=(8, 6)) as narrow,
+        open_view(load_scene(path, fov="90"), size=(8, 6)) as wide,
+        open_view(SceneFile(path, {"fov": "90"}), size=(8, 8)) as square,
     ):
         assert wide.camera.focal_length == pytest.approx(4.0, rel=1e-5)
+        assert square.camera.focal_length == pytest.approx(4.0, rel=1e-5)
         assert narrow.camera.focal_length == pytest.approx(4.0 / np.tan(np.radians(10.0)), rel=1e-5)
 
 
@@ -156,10 +160,9 @@ def test_unsupported_sensors_films_and_integrators_are_refused_by_name() -> None
         _open(bare)
     with pytest.raises(SensorError, match=r"Orthographic.*supported: perspective, thinlens"):
         _open(scene(sensor={"type": "orthographic"}))
-    for pixel_format, named in (("luminance", "luminance"), ("rgba", "rgba")):
-        film = {"type": "hdrfilm", "pixel_format": pixel_format}
-        with pytest.raises(FilmError, match=f"{named}.*set it to rgb"):
-            _open(scene(sensor=camera() | {"film": film}))
+    film = {"type": "hdrfilm", "pixel_format": "xyz"}
+    with pytest.raises(FilmError, match=r"xyz.*set it to rgb"):
+        _open(scene(sensor=camera() | {"film": film}))
     for integrator in ({"type": "aov", "aovs": "d:depth"}, "ptracer", "moment"):
         with pytest.raises(IntegratorError, match="no radiance"):
             _open(scene(), integrator=integrator)
@@ -192,8 +195,8 @@ def test_the_scene_is_as_before_afterwards_even_after_an_error() -> None:
     cropped["film"] |= {"crop_width": 20, "crop_height": 10, "crop_offset_x": 3, "crop_offset_y": 5}
     loaded = mi.load_dict(scene(wall=wall(), sensor=cropped))
     before = str(loaded.sensors()[0])
-    with open_view(loaded, size=(8, 8)) as view:
-        assert view.size == (8, 8)
+    with pytest.warns(SceneWarning, match="crop window"), open_view(loaded, size=(8, 6)) as view:
+        assert view.size == (8, 6)
     assert str(loaded.sensors()[0]) == before
 
     def fail() -> None:
@@ -206,6 +209,7 @@ def test_the_scene_is_as_before_afterwards_even_after_an_error() -> None:
     assert str(loaded.sensors()[0]) == before
 
 
+@pytest.mark.filterwarnings("ignore:the film's crop window")
 @pytest.mark.parametrize("failing", range(3))
 def test_the_scene_is_as_before_after_a_failure_while_it_is_set_or_restored(
     failing: int, monkeypatch: pytest.MonkeyPatch
@@ -223,7 +227,7 @@ def test_the_scene_is_as_before_after_a_failure_while_it_is_set_or_restored(
 
     monkeypatch.setattr(mi.SceneParameters, "update", fail_once)
     with pytest.raises(KeyboardInterrupt):
-        _open(loaded, size=(8, 8))
+        _open(loaded, size=(32, 24))
     assert str(loaded.sensors()[0]) == before
     assert _open(loaded).size == (20, 10)
 
@@ -310,3 +314,27 @@ def test_dictionaries_and_objects_that_are_no_scenes_are_refused() -> None:
         _open({"type": "scene", "a": {"type": "sfere"}})
     with pytest.raises(SceneError, match="not int"):
         _open(3)  # type: ignore[arg-type]
+
+
+class _Failing(mi.SamplingIntegrator):
+    """Raises when it is traced."""
+
+    def sample(self, *_: Any, **__: Any) -> Any:
+        raise AttributeError("no such\nattribute at 0x7f8dc2bd7b80")
+
+    def to_string(self) -> str:
+        return "failing"
+
+
+def test_what_an_integrator_raises_while_it_is_traced_is_one_line() -> None:
+    with pytest.raises(
+        TracingError, match="cannot be traced with integrator _Failing: no such attribute"
+    ) as error:
+        pose_bound(textured_wall(), Gaussian(0.01), integrator=_Failing(mi.Properties()), spp=16)
+    assert "0x" not in _message(error)
+
+
+def test_what_a_caller_raises_while_a_view_is_open_stays_what_it_is() -> None:
+    for kind in (RuntimeError, ZeroDivisionError):
+        with pytest.raises(kind, match="own"), open_view(textured_wall()):
+            raise kind("own")
