@@ -72,6 +72,7 @@ def bound_document(bound: PoseBound, hcr: HCRBound | None = None) -> dict[str, A
         **{key: values[key] for key in _BOUND_KEYS},
         "nuisances": values["nuisances"],
         "noise_inflation": provenance.get("noise_inflation"),
+        "finite_differences": provenance.get("finite_differences"),
         "warnings": provenance.get("warnings", []),
         "versions": provenance.get("versions", {}),
         "seconds": provenance.get("seconds", {}),

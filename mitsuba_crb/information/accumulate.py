@@ -7,7 +7,8 @@ For K independent, unbiased estimates J_1 .. J_K of the Jacobian J and a noise p
 is unbiased for F = JᵀWJ, where the plain ĴᵀWĴ of the mean Ĵ is too large by E[δJᵀ W δJ]. It is symmetric, but
 positive semi-definite only in expectation. The covariance of its entries (`ustatistic`) is summed over units
 with independent errors: groups of pixels, or the blocks of pixels that share samples; what a random subset
-of the pixels says of the whole image is `sampled`'s. Conventions: `se3`.
+of the pixels says of the whole image is `sampled`'s. A bias b_u F_u that pixels may have in common adds the
+square of its sum. Conventions: `se3`.
 """
 
 from __future__ import annotations
@@ -127,10 +128,17 @@ class InformationAccumulator:
         self._columns = columns
         self._sum = np.zeros(entries(columns))
         self._plain = np.zeros((columns, columns))
+        self._bias = np.zeros(entries(columns))
         components = CoupledComponents if coupled else SampledComponents if sampled else VarianceComponents
         self._units = components(batches, columns)
 
-    def add(self, batch_values: ArrayLike, weights: ArrayLike, pixels: ArrayLike) -> None:
+    def add(
+        self,
+        batch_values: ArrayLike,
+        weights: ArrayLike,
+        pixels: ArrayLike,
+        bias: NDArray[np.float64] | None = None,
+    ) -> None:
         """Add the pixels of some whole blocks.
 
         Args:
@@ -138,6 +146,8 @@ class InformationAccumulator:
             weights: (n, C) inverse noise variances, or (n, C, C) information that pixels carry about their
                 means, see `IndependentNoise.weights`.
             pixels: (n, 2), column x and row y.
+            bias: (n,) relative error, of one sign and all pixels' alike, that their information may have by
+                the way they were measured; it enters the covariance.
 
         Raises:
             OptionError: the number of batches is not the one announced.
@@ -156,6 +166,8 @@ class InformationAccumulator:
         if len(positions) == 0:
             return
         root = square_root(precision)
+        if bias is not None and bias.any():
+            self._bias += _biased(values, root, bias)
         order, starts = self._order(positions)
         in_order = not np.any(np.diff(order) < 0)
         self._count += len(positions)
@@ -227,7 +239,8 @@ class InformationAccumulator:
     @property
     def added(self) -> Sums:
         """F̂ of all P columns from the pixels added so far and of no others; zero if they tell nothing."""
-        return Sums(unpack(self._sum), self._units.positive, self._plain)
+        covariance = self._units.positive + np.outer(self._bias, self._bias)
+        return Sums(unpack(self._sum), covariance, self._plain)
 
     def sums(self, selection: PixelSelection) -> Sums:
         """F̂ of all P columns from everything added so far, scaled to the whole image for a random subset.
@@ -251,7 +264,8 @@ class InformationAccumulator:
             raise PixelsError("a random pixel subset needs InformationAccumulator(batches=..., sampled=True)")
         if n < 2:
             raise PixelsError("a random subset of one pixel has no sampling variance; select at least two")
-        covariance = self._units.covariance(self._sum, n, N)
+        bias = N / n * self._bias
+        covariance = self._units.covariance(self._sum, n, N) + np.outer(bias, bias)
         return Sums(N / n * unpack(self._sum), covariance, N / n * self._plain)
 
     def _order(self, pixels: NDArray[np.integer]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -283,10 +297,24 @@ class InformationAccumulator:
             raise RadianceError(f"the Jacobian is not finite at {bad} of {len(pixels)} pixels")
 
 
+def _biased(values: Array, root: Array, bias: Array) -> Array:
+    """(E,) Σ bias_u F̂_u."""
+    rows = np.flatnonzero(bias)
+    whitened = whiten(values[:, rows] * np.sqrt(bias[rows])[:, None, None], root[rows])
+    products = unit_products(unit_grams(whitened, np.array([0, len(rows)])), len(values))
+    return np.asarray(products.mean(axis=0)[:, 0])
+
+
 class Accumulator(Protocol):
     """What sums up the information of pixels: of a pose alone, or jointly with nuisance parameters."""
 
-    def add(self, batch_values: ArrayLike, weights: ArrayLike, pixels: ArrayLike) -> None:
+    def add(
+        self,
+        batch_values: ArrayLike,
+        weights: ArrayLike,
+        pixels: ArrayLike,
+        bias: NDArray[np.float64] | None = None,
+    ) -> None:
         """See `InformationAccumulator.add`."""
 
     def add_coupled(self, batch_values: ArrayLike, noise: CoupledNoise, pixels: ArrayLike) -> None:

@@ -197,7 +197,13 @@ class JointAccumulator:
         }
         self._tiles: set[int] = set()
 
-    def add(self, batch_values: ArrayLike, weights: ArrayLike, pixels: ArrayLike) -> None:
+    def add(
+        self,
+        batch_values: ArrayLike,
+        weights: ArrayLike,
+        pixels: ArrayLike,
+        bias: NDArray[np.float64] | None = None,
+    ) -> None:
         """Add some pixels; arguments and errors as `InformationAccumulator.add`.
 
         Raises:
@@ -205,7 +211,7 @@ class JointAccumulator:
         """
         values, positions = np.asarray(batch_values, dtype=np.float64), np.asarray(pixels)
         if self._side is None:
-            self._parts[frozenset()].add(values, weights, positions)
+            self._parts[frozenset()].add(values, weights, positions, bias)
             return
         precision = np.asarray(weights, dtype=np.float64)
         x, y = (positions.astype(np.int64) // self._side).T
@@ -217,7 +223,7 @@ class JointAccumulator:
                     f"that are multiples of {self._side}"
                 )
             self._tiles.add(int(number))
-            self._add_tile(values, precision, positions, np.flatnonzero(tile == number))
+            self._add_tile(values, precision, positions, bias, np.flatnonzero(tile == number))
 
     def add_coupled(self, batch_values: ArrayLike, noise: CoupledNoise, pixels: ArrayLike) -> None:
         """Add all pixels of an image whose noise is correlated; see `InformationAccumulator.add_coupled`."""
@@ -240,8 +246,16 @@ class JointAccumulator:
             linearisation=linearisation,
         )
 
-    def _add_tile(self, values: Array, weights: Array, pixels: NDArray[Any], index: NDArray[np.intp]) -> None:
+    def _add_tile(
+        self,
+        values: Array,
+        weights: Array,
+        pixels: NDArray[Any],
+        bias: Array | None,
+        index: NDArray[np.intp],
+    ) -> None:
         values, weights, pixels = values[:, index], weights[index], pixels[index]
+        bias = None if bias is None else bias[index]
         own = InformationAccumulator(batches=self._batches, block=self._block, columns=values.shape[-1])
         own.add(values, weights, pixels)
         sums = own.added
@@ -249,7 +263,7 @@ class JointAccumulator:
         for subset, part in self._parts.items():
             unknown = [c for name in self._local if name in subset for c in self._local[name]]
             G = _eliminate(sums, unknown, others)
-            part.add(values @ G, weights, pixels)
+            part.add(values @ G, weights, pixels, bias)
 
 
 def joint_information(

@@ -32,6 +32,7 @@ from ..information.blocks import BLOCK
 from ..render.arrays import download, upload, widened
 from ..render.pixels import known_integrator, radiance
 from ..render.random import lane_sampler, seeding
+from .pairs import film_shift
 from .silhouettes import Contours, Sides, find_contours, look
 
 if TYPE_CHECKING:
@@ -78,8 +79,7 @@ class ParallaxTerm:
                 view, contours, part, count[chunk == which], pixels[mine], baseline[mine], paths
             )
             self._parts.append((mine, term))
-        self._rows = [np.empty(0, dtype=np.int64)]
-        self._terms = [np.empty((paths.batches, 0, 3, 6))]
+        self._found = [_nothing(paths.batches)]
 
     def launch(self) -> None:
         """Start paths in the background; of more samples than are held at once, all but the last are done."""
@@ -94,13 +94,15 @@ class ParallaxTerm:
         for _, term in self._parts[:1]:
             term.wait()
 
-    def result(self) -> tuple[Ints, Floats]:
-        """Which pixels contours touch (t,), and the term there (batches, t, 3, 6).
+    def result(self) -> tuple[Ints, Floats, Floats]:
+        """Which pixels contours touch (t,), the term there (batches, t, 3, 6), and that of the picture L = 1.
 
-        Independent from batch to batch and from block to block [radiance / scene unit, radiance / rad].
+        The last without baseline, of translation only (batches, t, 3), for `closure`. Independent from batch
+        to batch and from block to block [radiance / scene unit, radiance / rad].
         """
         self._finish()
-        return np.concatenate(self._rows), np.concatenate(self._terms, axis=1)
+        rows, terms, closing = zip(*self._found, strict=True)
+        return np.concatenate(rows), np.concatenate(terms, axis=1), np.concatenate(closing, axis=1)
 
     def _start(self) -> None:
         for _, term in self._parts[:1]:
@@ -108,9 +110,8 @@ class ParallaxTerm:
 
     def _finish(self) -> None:
         for mine, term in self._parts[:1]:
-            touched, sums = term.result()
-            self._rows.append(mine[touched])
-            self._terms.append(sums)
+            touched, sums, closing = term.result()
+            self._found.append((mine[touched], sums, closing))
         del self._parts[:1]
 
 
@@ -162,15 +163,18 @@ class _BlocksTerm:
         samples = samples.part(_near(contours, slot, blocks, samples))
         piece, start = contours.piece[samples.pair], contours.cumulative[samples.pair]
         share = contours.cumulative[samples.pair + 1] - start
-        u = np.clip((samples.target - start) / share, 0.0, 1.0)
+        u = np.clip((samples.target - start) / np.maximum(share, np.finfo(float).tiny), 0.0, 1.0)
         placed = contours.place(piece, u, samples.point, contours.reach(blocks[samples.owner]))
-        rows, offset = _footprint(contours, slot, blocks, samples.owner, placed.film)
-        kept = np.flatnonzero((rows >= 0).any(axis=1) & (placed.length > 0.0))
+        film = placed.film - film_shift(contours.view.pixel_filter)
+        rows, offset = _footprint(contours, slot, blocks, samples.owner, film)
+        kept = np.flatnonzero((rows >= 0).any(axis=1) & (placed.length > 0.0) & (share > 0.0))
         self._samples, self._placed = samples.part(kept), placed.part(kept)
         self._piece, self._share = piece[kept], share[kept]
         self._rows, self._offset = rows[kept], offset[kept]
         if len(kept):  # Dr.Jit does not divide empty arrays
-            self._looked = _look(self._view, contours, self._placed, self._samples, blocks, self._paths.seed)
+            self._looked = _look(
+                self._view, contours, self._placed, self._piece, self._samples, blocks, self._paths.seed
+            )
 
     def wait(self) -> None:
         """Until they have been traced."""
@@ -178,11 +182,11 @@ class _BlocksTerm:
             sides, outside = self._looked
             self._looked = Sides(*map(np.asarray, sides)), [np.asarray(channel) for channel in outside]
 
-    def result(self) -> tuple[Ints, Floats]:
-        """Which of the pixels contours touch (t,), and the term there (batches, t, 3, 6)."""
+    def result(self) -> tuple[Ints, Floats, Floats]:
+        """As `ParallaxTerm.result`, of these blocks' pixels."""
         batches = self._paths.batches
         if self._looked is None:
-            return np.empty(0, dtype=np.int64), np.empty((batches, 0, 3, 6))
+            return _nothing(batches)
         contours, blocks = self._contours, self._blocks
         sides, outside = self._looked
         jump = contours.jump(sides, self._placed, self._piece, self._samples.point)
@@ -214,7 +218,12 @@ class _BlocksTerm:
         )
         sums = (matrix @ moments.reshape(-1, 24)).reshape(batches, n, 4, 6)
         terms = sums[:, :, 1:] - self._baseline[touched, :, None] * sums[:, :, :1]
-        return touched, np.asarray(terms)
+        return touched, np.asarray(terms), np.asarray(sums[:, :, 0, :3])
+
+
+def _nothing(batches: int) -> tuple[Ints, Floats, Floats]:
+    """The result where no contour touches any pixel."""
+    return np.empty(0, dtype=np.int64), np.empty((batches, 0, 3, 6)), np.empty((batches, 0, 3))
 
 
 def _draw(contours: Contours, blocks: Ints, count: Ints, seed: int, batches: int) -> _Samples:
@@ -296,7 +305,7 @@ def _footprint(
 
 
 def _look(
-    view: View, contours: Contours, placed: Placed, samples: _Samples, blocks: Ints, seed: int
+    view: View, contours: Contours, placed: Placed, piece: Ints, samples: _Samples, blocks: Ints, seed: int
 ) -> tuple[tuple[Any, ...], mi.Color3f]:
     """What rays just beside each sample see (`Sides`), and L_bg, one path each; a lone sample's twice.
 
@@ -304,7 +313,7 @@ def _look(
     """
     import mitsuba as mi
 
-    arrays = contours.side_points(placed, samples.aperture) | {
+    arrays = contours.side_points(placed, piece, samples.aperture) | {
         "block": upload(mi.UInt32, widened(blocks[samples.owner])),
         "number": upload(mi.UInt32, widened(samples.number)),
         "seeds": seeding(seed, PATHS),

@@ -57,6 +57,8 @@ class Curves:
     """(n,) EDGE: index in the edge table. TANGENT: +1 or −1, which of the two lines."""
     inward: Floats
     """(n, 3) RIM: direction in which the surface leaves the rim; zero where that is the centre (a disk)."""
+    surface: Ints
+    """(n,) key of the surface that it belongs to; −1 for edges, which may belong to several."""
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -71,12 +73,13 @@ class Curves:
             self.v[index],
             self.tag[index],
             self.inward[index],
+            self.surface[index],
         )
 
     @staticmethod
     def join(parts: list[Curves]) -> Curves:
         """One list of several."""
-        names = ("kind", "span", "origin", "u", "v", "tag", "inward")
+        names = ("kind", "span", "origin", "u", "v", "tag", "inward", "surface")
         return Curves(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     @staticmethod
@@ -87,6 +90,7 @@ class Curves:
         v: Floats | None = None,
         tag: Ints | None = None,
         inward: Floats | None = None,
+        surface: Ints | None = None,
     ) -> Curves:
         """Whole curves of one kind."""
         n = len(origin)
@@ -99,6 +103,7 @@ class Curves:
             np.zeros((n, 3)) if v is None else v,
             np.zeros(n, dtype=np.int64) if tag is None else tag,
             np.zeros((n, 3)) if inward is None else inward,
+            np.full(n, -1) if surface is None else surface,
         )
 
     @property

@@ -8,6 +8,7 @@ vertices would otherwise make every seam an open edge. NumPy, float64. Source: d
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,10 +37,12 @@ class EdgeTable:
     """(F, 3) face normals, of length twice the area [scene unit²]."""
     points: Floats
     """(F, 3) a vertex of each face [scene unit]."""
-    open_face: Ints
-    """(E,) the face of an open edge, as numbered when given; −1 for edges that are not open."""
-    open_edges: Ints
-    """(faces given, 3) the open edges of each face, −1 in place of others."""
+    corners: Ints
+    """(faces given, 3) the welded vertices of each face."""
+    face: Ints
+    """(F,) each face, as numbered when given."""
+    face_edges: Ints
+    """(faces given, 3) the edges of each face, −1 of those left out."""
     dropped: int
     """Faces left out: without area, or not finite."""
 
@@ -66,11 +69,8 @@ class EdgeTable:
         unique, first = np.unique(key[order], return_index=True)
         first = np.append(first, len(key))
         count = np.diff(first)
-        open_edges = np.full((len(faces), 3), -1)
-        alone = order[first[:-1][count == 1]]
-        open_edges[face[alone // 3], alone % 3] = np.flatnonzero(count == 1)
-        open_face = np.full(len(unique), -1)
-        open_face[count == 1] = face[alone // 3]
+        face_edges = np.full((len(faces), 3), -1)
+        face_edges[face[order // 3], order % 3] = np.repeat(np.arange(len(unique)), count)
         return EdgeTable(
             ends=positions[np.stack([unique // len(positions), unique % len(positions)], axis=1)],
             first=first,
@@ -78,8 +78,9 @@ class EdgeTable:
             half_sign=np.where(start < end, 1, -1).astype(np.int8)[order],
             normals=normals[face],
             points=corner[face, 0],
-            open_face=open_face,
-            open_edges=open_edges,
+            corners=weld[faces],
+            face=face,
+            face_edges=face_edges,
             dropped=len(faces) - len(face),
         )
 
@@ -99,33 +100,74 @@ class EdgeTable:
         """
         low = np.full(len(edges), 1, dtype=np.int8)
         high = np.full(len(edges), -1, dtype=np.int8)
-        start, count = self.first[edges], np.diff(self.first)[edges]
-        for j in range(int(count.max(initial=0))):
-            has = np.flatnonzero(count > j)
-            half = start[has] + j
+        for has, half in self._around(edges):
             face = self.half_face[half]
             height = np.einsum("ij,ij->i", self.normals[face], self.points[face] - centre[has])
             sign = np.where(height >= 0.0, self.half_sign[half], -self.half_sign[half])
             low[has], high[has] = np.minimum(low[has], sign), np.maximum(high[has], sign)
         return np.where(low == high, low, np.int8(0))
 
-    def repeats(self, edges: Ints, hit: Ints, points: Floats, tolerance: Floats) -> NDArray[np.bool_]:
-        """Which points of open edges another open edge stands for, the one of the face that is seen there.
+    def next_to(self, edges: Ints, hit: Ints) -> NDArray[np.bool_]:
+        """Which edges (n,) belong to a face that shares a vertex with another (n,), as numbered when given.
+
+        Args:
+            hit: −1 for none.
+        """
+        near, seen = np.zeros(len(edges), dtype=bool), self.corners[np.maximum(hit, 0)]
+        for has, half in self._around(edges):
+            own = self.corners[self.face[self.half_face[half]]]
+            near[has] |= (own[:, :, None] == seen[has][:, None]).any(axis=(1, 2))
+        return near & (hit >= 0)
+
+    def nearest(self, edges: Ints, centre: Floats, direction: Floats) -> Floats:
+        """Largest inverse depth (n,) at which rays meet the planes of the faces around edges.
+
+        Args:
+            edges: (n,) indices.
+            centre: (n, 3) where the rays start, in the world.
+            direction: (n, 3) of length one along the optical axis.
+        """
+        largest = np.full(len(edges), -np.inf)
+        for has, half in self._around(edges):
+            face = self.half_face[half]
+            height = np.einsum("ij,ij->i", self.normals[face], self.points[face] - centre[has])
+            along = np.einsum("ij,ij->i", self.normals[face], direction[has])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                largest[has] = np.fmax(largest[has], along / height)
+        return largest
+
+    def _around(self, edges: Ints) -> Iterator[tuple[Ints, Ints]]:
+        """Which edges have a first half-edge, a second, and so on, and which that is."""
+        start, count = self.first[edges], np.diff(self.first)[edges]
+        for j in range(int(count.max(initial=0))):
+            has = np.flatnonzero(count > j)
+            yield has, start[has] + j
+
+    def repeats(
+        self, edges: Ints, hit: Ints, points: Floats, tolerance: Floats, centre: Floats
+    ) -> NDArray[np.bool_]:
+        """Which points of edges another contour stands for, that of the face that is seen there.
 
         Where two surfaces meet without sharing vertices (a box of six rectangles, a long edge along two short
-        ones), both list the edge as open, and the contour would count twice.
+        ones, bars that run into each other), both have the edge, and the contour would count twice.
 
         Args:
             edges: (n,) indices.
             hit: (n,) the face seen beside each point, as numbered when given; −1 for none.
             points: (n, 3) in the world.
             tolerance: (n,) distance within which edges coincide [scene unit].
+            centre: (n, 3) a camera centre for each, in the world.
         """
-        other = np.where((self.open_face[edges] >= 0) & (hit >= 0) & (hit != self.open_face[edges]), hit, -1)
+        open_edge = np.diff(self.first)[edges] == 1
+        own = (self.face_edges[np.maximum(hit, 0)] == edges[:, None]).any(axis=1)
+        other = np.where((hit >= 0) & ~own & (open_edge | ~self.next_to(edges, hit)), hit, -1)
         repeated = np.zeros(len(edges), dtype=bool)
         for j in range(3):
-            has = np.flatnonzero((other >= 0) & (self.open_edges[other, j] >= 0))
-            ends = self.ends[self.open_edges[other[has], j]]
+            has = np.flatnonzero(other >= 0)
+            edge = self.face_edges[other[has], j]
+            contour = (edge >= 0) & (self.sides(edge, centre[has]) != 0)
+            has, edge = has[contour], edge[contour]
+            ends = self.ends[edge]
             along, to_point = ends[:, 1] - ends[:, 0], points[has] - ends[:, 0]
             s = np.einsum("ij,ij->i", to_point, along) / np.einsum("ij,ij->i", along, along)
             distance = np.linalg.norm(to_point - s[:, None] * along, axis=1)

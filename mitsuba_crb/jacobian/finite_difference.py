@@ -5,7 +5,8 @@
 Both renders use the same random numbers, so their noise cancels where the image is smooth. The step h_i is
 given in pixels of image motion (0.15, a fraction of the reconstruction filter, which is what smooths the
 image in the pose), for translation at the near end of what is visible, and at most 0.05 length scales. The
-bias is h²/6 times a third derivative. Almost assumption-free, at the price of twelve renders.
+bias is h²/6 times a third derivative; of an edge it is the filter's, averaged over the step (`edge_bias`).
+Almost assumption-free, at the price of twelve renders.
 Source: design section 4.3.
 """
 
@@ -22,6 +23,7 @@ from ..render.pixels import render_pixels
 from .method import AtOnce, Estimates, Paths
 
 if TYPE_CHECKING:
+    from ..render.film import PixelFilter
     from ..render.view import View
     from .film_flow import FilmFlow
 
@@ -31,12 +33,44 @@ NEAR_PERCENTILE = 5.0
 """Percentile of the visible depth at which a translation step moves the image by that much."""
 
 
-def steps_of(view: View, step_pixels: float = STEP_PIXELS) -> NDArray[np.float64]:
-    """(6,) the steps that move the image by `step_pixels`, translation [scene unit] then rotation [rad]."""
+BIAS = 0.02
+"""Relative error of an edge's information that a step chosen for a filter may have."""
+
+
+def steps_of(
+    view: View, step_pixels: float = STEP_PIXELS, depth: NDArray[np.float64] | None = None
+) -> NDArray[np.float64]:
+    """(6,) the steps that move the image by `step_pixels`, translation [scene unit] then rotation [rad].
+
+    Args:
+        depth: (n,) of what is to move by that much; by default of all that is visible [scene unit].
+    """
     angle = view.camera.angles(step_pixels)
-    depth = view.visible_depth
-    near, median = np.percentile(depth, [NEAR_PERCENTILE, 50.0]) if depth.size else (1.0, 1.0)
+    visible = view.visible_depth
+    median = np.median(visible) if visible.size else 1.0
+    seen = visible if depth is None or not depth.size else depth
+    near = np.percentile(seen, NEAR_PERCENTILE) if seen.size else 1.0
     return np.concatenate([np.minimum(angle * near, 0.05 * median), angle])
+
+
+def edge_bias(pixel_filter: PixelFilter, step_pixels: float) -> float:
+    """How much of an edge's information a step hides: 1 − ∫ (h * b)² / ∫ h², b the box of twice the step.
+
+    The derivative of an edge's image is h at its distance; a central difference averages that over the step.
+    What is smoother than an edge loses less.
+    """
+    h = pixel_filter.values
+    width = max(1, round(step_pixels / pixel_filter.radius * len(h)))
+    averaged = np.convolve(h, np.full(width, 1.0 / width))
+    return float(1.0 - np.sum(averaged**2) / np.sum(h**2))
+
+
+def step_for(pixel_filter: PixelFilter) -> float:
+    """The longest step of at most `STEP_PIXELS` that hides no more than `BIAS` of an edge's information."""
+    step = STEP_PIXELS
+    while edge_bias(pixel_filter, step) > BIAS:
+        step *= 0.5
+    return step
 
 
 @dataclass(frozen=True)

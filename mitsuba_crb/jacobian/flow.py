@@ -15,8 +15,11 @@ kind and for every integrator. Rays that escape see points at infinity, ρ_a = 0
 pilot render, the same for all batches) costs no bias: the three terms of L = 1 add up to zero. The pixels of
 a block share out their random numbers evenly (`EvenNumbers`), so it is blocks whose errors are independent.
 At rims ∇·f grows as 1/√distance: finite mean, no clamping; only where float32 decides how nearly a sphere is
-edge-on, its mean there is taken. Participating media and the ellipsoids of radiance
-fields have no points to follow: rotation needs none, translation is left to finite differences.
+edge-on, its mean there is taken.
+
+Rotation of a pinhole is the filter term's alone and exact in every scene that no clip plane cuts. Translation
+is left to finite differences, block by block, where there are no points to follow (participating media, the
+ellipsoids of radiance fields) and where the flow of a constant picture does not close (`closure`).
 
 Source: design section 4.1; Zhang et al. 2020, Path-Space Differentiable Rendering, for the material form.
 """
@@ -31,23 +34,24 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import SensorError
 from ..information.blocks import BLOCK
-from ..render.paths import IntegratorTracer, PathTracer, tracer
+from ..render.paths import IntegratorTracer, PathTracer, White, tracer
 from ..render.random import EVEN, EvenNumbers, lane_sampler, seeding
-from ..render.rays import Lanes, camera_ray, opaque_transform
+from ..render.rays import Lanes, camera_ray, first_hits, opaque_transform
 from ..render.recorded import join, split
-from . import finite_difference, lint
+from . import finite_difference
+from .closure import BATCHES, PATHS, FilmBlocks, breaches, suspects
 from .contours import Contours, ParallaxTerm, find_contours
 from .film_flow import FilmFlow
 from .method import Estimates, Paths
 from .pair_sums import sum_pairs
-from .pairs import BoxPairs, SmoothPairs, filter_pairs
-from .pilot import Pilot
+from .pairs import BoxPairs, SmoothPairs, film_shift, filter_pairs
+from .pilot import Black, Pilot
+from .unfollowed import CLIPPED, Unfollowed
 from .view_term import ViewTerm
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     import mitsuba as mi
 
@@ -56,6 +60,8 @@ if TYPE_CHECKING:
 _DIMENSIONS = (4, 4)
 """What `EvenNumbers` are for: film offset and emitter, whose products are what edges of shadows show; and
 direction at the first surface and lens point."""
+CLOSURE = 0x434C4F53
+"""Purpose of the random numbers that decide on closure."""
 _TRACED = ("pairs", "view_term", "tracer", "transform", "focal", "film_flows")
 """What the kernel reads of `Prepared`."""
 
@@ -66,9 +72,9 @@ class Prepared:
 
     pairs: SmoothPairs | BoxPairs
     view_term: ViewTerm | None
-    contours: Contours | NDArray[np.float64]
-    """Of the surfaces; or, where the integrator sees volumes, the steps (6,) of finite differences."""
-    tracer: PathTracer | IntegratorTracer
+    contours: Contours
+    """Of the surfaces."""
+    tracer: PathTracer | IntegratorTracer | White
     transform: mi.Transform4f
     """World from camera."""
     focal: mi.Vector2f
@@ -85,39 +91,19 @@ def prepare(view: View, film_flows: tuple[FilmFlow, ...] = ()) -> Prepared:
 
     Raises:
         FilmError: the reconstruction filter is not known.
-        SensorError: a thin lens among participating media or radiance fields.
-
-    Warns:
-        BlindSpotWarning: by name, of shapes whose contours are not known.
     """
     camera_paths = tracer(view)
-    volumes = _sees_volumes(view, camera_paths)
-    if volumes and view.sensor.needs_aperture_sample():
-        raise SensorError(
-            "a thin lens among participating media or radiance fields shows method 'flow' no surface points "
-            "to follow: use method finite_difference, or a perspective sensor"
-        )
     # First, because the others wait for what runs in the background.
-    contours = finite_difference.steps_of(view) if volumes else find_contours(view)
+    contours = find_contours(view)
     return Prepared(
         filter_pairs(view.pixel_filter),
-        None if volumes else ViewTerm.of(view, camera_paths),
+        ViewTerm.of(view, camera_paths),
         contours,
         camera_paths,
         opaque_transform(view.pose),
         _film_slope(view),
         film_flows,
     )
-
-
-def _sees_volumes(view: View, camera_paths: PathTracer | IntegratorTracer) -> bool:
-    """Whether radiance may come from what is no surface; `path` and its like pass media by."""
-    volumes = any(
-        shape.is_medium_transition() or shape.class_name() in ("Ellipsoids", "EllipsoidsMesh")
-        for shape in view.scene.shapes()
-    )
-    inside = view.sensor.get_medium() is not None
-    return isinstance(camera_paths, IntegratorTracer) and (inside or volumes)
 
 
 def _film_slope(view: View) -> mi.Vector2f:
@@ -136,8 +122,8 @@ class Flow:
     """The method, open for one view.
 
     Paths come in pairs, alternately along x and y, and share their random numbers out best by powers of two:
-    4, 8, 16, … per batch. An odd last path of a batch is not traced, a batch of one path traces two. Where
-    the integrator sees volumes, translation traces six times as many besides.
+    4, 8, 16, … per batch. An odd last path of a batch is not traced, a batch of one path traces two. Blocks
+    that the flow cannot follow trace six times as many besides, with a thin lens twelve times.
     """
 
     name: ClassVar[str] = "flow"
@@ -167,9 +153,62 @@ class Flow:
         return cls(view, mask, paths, film_flows)
 
     @classmethod
-    def limits(cls, view: View) -> Iterator[str]:
-        """See `Method.limits`."""
-        return lint.cut_surfaces(view, cls.name)
+    def limits(cls, view: View) -> tuple[str, ...]:
+        """Nothing: see `Method.limits`."""
+        return ()
+
+    @functools.cached_property
+    def unfollowed(self) -> Unfollowed:
+        """What in this view the flow cannot follow."""
+        return Unfollowed.of(self.view, self.prepared.tracer)
+
+    def differenced(self, causes: NDArray[np.object_]) -> NDArray[np.int64]:
+        """(n,) how many columns, from the first, are left to finite differences at pixels with these causes.
+
+        A pinhole's rotation needs no points to follow, unless a plane turns with the camera.
+        """
+        whole = np.isin(causes, CLIPPED) | self.view.sensor.needs_aperture_sample()
+        return np.where(causes == None, 0, np.where(whole, 6, 3))  # noqa: E711  # an array
+
+    @functools.cached_property
+    def _step_pixels(self) -> float:
+        return finite_difference.step_for(self.view.pixel_filter)
+
+    @functools.cached_property
+    def step_bias(self) -> float:
+        """Relative error that their step may leave in the information of finite differences."""
+        return finite_difference.edge_bias(self.view.pixel_filter, self._step_pixels)
+
+    def breaches(self, pixels: NDArray[np.int64]) -> NDArray[np.object_]:
+        """(blocks,) why the flow of the blocks of some pixels (n, 2) does not close, None where it does."""
+        seed = int(np.random.SeedSequence([self.paths.seed, CLOSURE]).generate_state(1, np.uint64)[0])
+        paths = Paths(BATCHES * max(PATHS, self.paths.spp // self.paths.batches), seed, BATCHES)
+        white = replace(self.prepared, tracer=White(), view_term=None, film_flows=())
+        start = filter_and_view_terms(self.view, white, pixels, Black(), paths)
+        nothing = np.zeros((len(pixels), 3))
+        parallax = ParallaxTerm(self.view, self.prepared.contours, pixels, nothing, paths)
+        closing = start()[-1]
+        parallax.launch()
+        residual = np.stack([np.asarray(part).reshape(BATCHES, -1) for part in closing], axis=-1, dtype=float)
+        parallax.wait()
+        rows, _, found = parallax.result()
+        residual[:, rows] += found
+        blocks = FilmBlocks.of(pixels)
+        column, row = blocks.number & 0xFFFFFFFF, blocks.number >> 32
+        edges = self.prepared.contours.samples[row * self.prepared.contours.columns + column] > 0.0
+        causes = np.where(edges, "stacked edges", "unknown").astype(object)
+        causes[~breaches(residual, blocks)] = None
+        return causes
+
+    def differences(self, pixels: NDArray[np.int64], count: int) -> NDArray[np.float64]:
+        """(batches, n, 3, count) the first columns at pixels (n, 2) by finite differences."""
+        depth = first_hits(self.view, pixels)[1]
+        steps = finite_difference.steps_of(self.view, self._step_pixels, depth[np.isfinite(depth)])
+        columns = [
+            finite_difference.column(self.view, pixels, axis, step, self.paths, even=True)[0]
+            for axis, step in enumerate(steps[:count])
+        ]
+        return np.stack(columns, axis=-1)
 
     @functools.cached_property
     def pilot(self) -> Pilot:
@@ -197,15 +236,10 @@ class FlowTile:
     def launch(self) -> None:
         """Start the paths in the background, and those of the contours."""
         view, contours, pixels = self._method.view, self._method.prepared.contours, self._pixels
-        paths = self._method.paths
-        self._beside: ParallaxTerm | _Differences
-        if isinstance(contours, Contours):
-            baseline = self._baseline if len(contours.piece) else np.empty((len(pixels), 3))
-            self._beside = ParallaxTerm(view, contours, pixels, baseline, paths)
-        else:
-            self._beside = _Differences(view, contours, pixels, paths)
-        columns, image, self._shown = self._begin()
-        self._beside.launch()
+        baseline = self._baseline if len(contours.piece) else np.empty((len(pixels), 3))
+        self._parallax = ParallaxTerm(view, contours, pixels, baseline, self._method.paths)
+        columns, image, self._shown, self._closing = self._begin()
+        self._parallax.launch()
         self._colors = [*columns, image]
 
     def wait(self) -> None:
@@ -214,56 +248,44 @@ class FlowTile:
         self._traced = [[np.asarray(channel) for channel in color] for color in self._colors]
         shape = (self._method.paths.batches, -1)
         self._sums = np.array([np.asarray(part).reshape(shape).mean(axis=0) for part in self._shown])
-        self._beside.wait()
+        self._residual = np.stack(
+            [np.asarray(part).reshape(shape) for part in self._closing], axis=-1, dtype=np.float64
+        )
+        self._parallax.wait()
 
     def result(self) -> Estimates:
-        """All terms together."""
+        """All terms together, and finite differences where they do not hold."""
         jacobians, images = as_arrays(self._traced, self._method.paths.batches)
-        rows, terms = self._beside.result()
-        if isinstance(self._beside, _Differences):
-            jacobians[..., :3] = 0.0
+        rows, terms, closing = self._parallax.result()
         jacobians[:, rows, :, : terms.shape[-1]] += terms
+        self._residual[:, rows] += closing
         # A few weights of a filter with negative lobes may add up to nothing: then the pilot is what is left.
         shown = self._baseline + (self._sums[:3] / np.maximum(self._sums[3], 0.5)).T
-        return Estimates(jacobians, images, shown)
-
-
-@dataclass
-class _Differences:
-    """Translation's columns by finite differences, in the place of a `ParallaxTerm`."""
-
-    view: View
-    steps: NDArray[np.float64]
-    """(6,), of which translation's are taken."""
-    pixels: NDArray[np.int64]
-    paths: Paths
-
-    def launch(self) -> None:
-        """All of the work."""
-        self._columns = [
-            finite_difference.column(self.view, self.pixels, axis, step, self.paths)[0]
-            for axis, step in enumerate(self.steps[:3])
-        ]
-
-    def wait(self) -> None:
-        """Nothing."""
-
-    def result(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """All pixels, and (batches, n, 3, 3)."""
-        return np.arange(len(self.pixels)), np.stack(self._columns, axis=-1)
+        blocks = FilmBlocks.of(self._pixels)
+        causes = self._method.unfollowed.causes(self._pixels, blocks)
+        suspect = suspects(self._residual, jacobians[..., :3], shown, blocks)
+        suspect &= causes == None  # noqa: E711  # an array
+        if suspect.any():
+            causes[suspect] = self._method.breaches(self._pixels[suspect[blocks.home]])
+        causes = causes[blocks.home]
+        columns = self._method.differenced(causes)
+        for count in np.unique(columns[columns > 0]):
+            rows = np.flatnonzero(columns == count)
+            jacobians[:, rows, :, :count] = self._method.differences(self._pixels[rows], count)
+        return Estimates(jacobians, images, shown, causes, self._method.step_bias)
 
 
 def filter_and_view_terms(
     view: View,
     prepared: Prepared,
     pixels: NDArray[np.int64],
-    pilot: Pilot,
+    pilot: Pilot | Black,
     paths: Paths,
-) -> Callable[[], tuple[list[mi.Color3f], mi.Color3f, mi.Vector4f]]:
+) -> Callable[[], tuple[list[mi.Color3f], mi.Color3f, mi.Vector4f, mi.Vector3f]]:
     """What starts the paths of some pixels in the background, without the contours' part.
 
     Returns:
-        A function that gives the columns, the image, and what `sum_pairs` makes to be shown, of each lane.
+        A function that gives the columns, the image, and what else `sum_pairs` makes, of each lane.
     """
     import mitsuba as mi
 
@@ -287,23 +309,23 @@ def filter_and_view_terms(
         "parts": own,
     }
 
-    def body(arrays: dict[str, Any]) -> tuple[list[mi.Color3f], mi.Color3f, mi.Vector4f]:
+    def body(arrays: dict[str, Any]) -> tuple[list[mi.Color3f], mi.Color3f, mi.Vector4f, mi.Vector3f]:
         lanes = Lanes(*arrays["lanes"])
         seeds, even_seeds = arrays["seeds"]
         given = dict(zip(_TRACED, join(parts, iter(arrays["parts"])), strict=True))
-        columns, image, shown = sum_pairs(
+        columns, *others = sum_pairs(
             view,
             replace(prepared, **given),
             lane_sampler(lanes.pixel, lanes.batch, seeds),
             EvenNumbers.of(lanes, even_seeds, _DIMENSIONS),
-            lanes.centre,
+            lanes.centre + film_shift(view.pixel_filter),
             pilot.baseline(arrays["pilot"], lanes),
             arrays["counts"],
             arrays["number"],
             arrays["starts"],
             arrays["most"],
         )
-        return columns, image, shown
+        return columns, *others
 
     own_integrator = isinstance(prepared.tracer, IntegratorTracer)
     return view.recorder.ready("pairs", body, view, arrays, None if own_integrator else key)

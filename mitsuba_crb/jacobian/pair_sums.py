@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 RIM = 1e-3
 """n·q/|q| of a curved surface below which rounding decides: a tangent hit is exact to its root only."""
+EDGE_ON = 1e-12
+"""n·q/q_z below which a plane goes through the lens point: far below what float32 directions resolve."""
 
 
 @dr.syntax  # type: ignore[untyped-decorator]  # Dr.Jit is untyped here
@@ -39,12 +41,14 @@ def sum_pairs(
     number: mi.UInt32,
     starts: mi.UInt32,
     most: mi.Float,
-) -> tuple[list[mi.Color3f], mi.Color3f, mi.Vector4f]:
+) -> tuple[list[mi.Color3f], mi.Color3f, mi.Vector4f, mi.Vector3f]:
     """The columns and the image of each lane; equal kernels for all tiles, seeds and poses.
 
     And Σ w (L − Ī) and Σ w, of which Ī + Σ w (L − Ī) / Σ w is an image to be shown: the image itself is
     unbiased, but few of its weights are so large, and the coarse Ī is so far off, that it has specks. These w
     are no larger than `most`, √n times the mean of n paths': truncated importance sampling (Ionides 2008).
+
+    And translation's three columns of the picture L = 1 without baseline, for `closure`.
     """
     import mitsuba as mi
 
@@ -52,7 +56,7 @@ def sum_pairs(
     view_term: Any = prepared.view_term
     world_to_camera = transform.inverse()
     columns = [mi.Color3f(0.0) for _ in range(6 + len(prepared.film_flows))]
-    image, shown = mi.Color3f(0.0), mi.Vector4f(0.0)
+    image, shown, closing = mi.Color3f(0.0), mi.Vector4f(0.0), mi.Vector3f(0.0)
     turns = (number + (pairs.kinds - 1)) // pairs.kinds
     start = mi.UInt32(sampler.next_1d() * mi.Float(starts))
     state = mi.UInt64(sampler.rng.state)
@@ -118,6 +122,7 @@ def sum_pairs(
         valid = seen.hit.is_valid()
         curved = valid & ~seen.hit.shape.is_mesh()
         weights = divergences(half, ray, lens, valid, curved, distance, normal, prepared.focal)
+        closing += mi.Vector3f(weights[:3])
         weights += [_film_divergence(half, film, flow) for flow in prepared.film_flows]
         for k in range(len(weights)):
             columns[k] += (light - baseline) * weights[k]
@@ -144,7 +149,7 @@ def sum_pairs(
                 columns[k] += change * tangent[k]
                 columns[k + 3] += change * turning[k]
         i += 1
-    return columns, image + baseline, shown
+    return columns, image + baseline, shown, closing
 
 
 def _tangent(direction: mi.Vector3f, turn: mi.Float, mirrored: mi.Bool) -> mi.Vector3f:
@@ -182,10 +187,10 @@ def divergences(
     h = half.value
     gx, gy = half.gradient.x * focal.x, half.gradient.y * focal.y
     x, y = ray.d.x / ray.d.z, ray.d.y / ray.d.z
-    inverse_depth = dr.select(valid, dr.rcp(ray.d.z * distance), 0.0)
+    inverse_depth = dr.select(valid & (distance > 0.0), dr.rcp(ray.d.z * distance), 0.0)
     # n q_z/(n·q); a plane through the lens point has no film area, so its value does not matter.
     slant = dr.dot(normal, ray.d) / ray.d.z
-    m = dr.select(dr.abs(slant) > 0.0, normal / slant, 0.0)
+    m = dr.select(dr.abs(slant) > EDGE_ON, normal / slant, 0.0)
     # Film distance from a rim grows as slant²: below RIM the mean of 1/slant is 2/RIM.
     m = dr.select(curved & (dr.abs(slant) < RIM), normal * dr.mulsign(2.0 / RIM, slant), m)
     rho = [

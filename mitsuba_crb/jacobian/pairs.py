@@ -31,6 +31,13 @@ PIECES = 2048
 RATIO_PIECES = 256
 GRID = 1024
 """Pieces of [0, radius] that h is linear in."""
+ASIDE = 1e-3
+"""How far the pixels of a box filter are moved, right and down [pixel].
+
+Symmetric models have seams, silhouettes and texels exactly on the borders of pixels, where rounding decides
+what a ray sees, where it may slip through a seam, and where the derivative is one thing to the left and
+another to the right. Moving all pixels alike asks for the same at a pose that nobody could tell apart.
+"""
 
 
 class PairSample(NamedTuple):
@@ -171,6 +178,11 @@ class BoxPairs:
             mi.Vector2f(dr.select(kind == 0, slope, 0.0), dr.select(kind == 1, slope, 0.0)),
             dr.select(kind == 2, 0.5 * dr.rcp(counts[2]), 0.0),
         )
+
+
+def film_shift(pixel_filter: PixelFilter) -> float:
+    """How far the film points of all pixels are moved, right and down [pixel]; see `ASIDE`."""
+    return ASIDE if pixel_filter.rfilter.class_name() == "BoxFilter" else 0.0
 
 
 def filter_pairs(pixel_filter: PixelFilter) -> SmoothPairs | BoxPairs:

@@ -78,3 +78,16 @@ class Pilot:
     def _image(self) -> NDArray[np.float64]:
         image = download(self.total).T / PILOT_SPP
         return np.where(np.isfinite(image), image, 0.0)
+
+
+class Black:
+    """No baseline, in the place of a `Pilot`."""
+
+    arrays = ()
+
+    @staticmethod
+    def baseline(_arrays: tuple[()], _lanes: Lanes) -> mi.Color3f:
+        """Zero."""
+        import mitsuba as mi
+
+        return mi.Color3f(0.0)

@@ -3,15 +3,17 @@
 Curves are cut into pieces that are short on the film. A block draws from the pieces that reach its pixels, in
 proportion to film length, to the largest jump of inverse depth they can make, and to what two probes of each
 piece saw of it; pieces that both probes found hidden keep a share, for they may show in between. A point
-counts if rays just beside it say so: the nearer hit lies on the surface's side, and its inverse depth and the
-curve's are closer to one another than to the other hit's. Source: design section 4.1; Zhang et al. 2023,
-Projective Sampling.
+counts if rays just beside it say so: the nearer hit lies on the surface's side, its inverse depth and the
+curve's are closer to one another than to the other hit's, and what is hit is the curve's own: a smooth
+surface itself, a face around the edge or next to one of those, or what is no nearer than their planes. Else
+another surface ends so close by that rays do not get between the two curves. Of such curves the innermost
+counts, by all that lies between its surface and what is seen beyond them: each jump once. Source: design
+section 4.1; Zhang et al. 2023, Projective Sampling.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,14 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import Camera
-from ..errors import BlindSpotWarning
 from ..information.blocks import BLOCK
 from ..render.arrays import upload, widened
 from ..render.paths import first_hit
 from ..render.rays import camera_ray, move_ray, opaque_transform
 from .curves import EDGE, Curves, Placed, bounds, cut, place
 from .edges import EdgeTable
-from .surfaces import edge_table, first_faces, smooth_curves, without_contours
+from .pairs import film_shift
+from .surfaces import edge_table, first_faces, has_instances, smooth_curves, surface_key
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -38,7 +40,11 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 ASIDE = 4e-3
-"""How far to either side of a contour its two surfaces are looked for [pixel]."""
+"""How far to either side of a contour its two surfaces are looked for, at most [pixel]."""
+_ROUNDINGS = 4.0
+"""The same over what float32 leaves undecided of where a ray meets the film."""
+_TOLERANCE = 1e-5
+"""Relative depth that float32 does not tell apart."""
 _FLOOR = 0.1
 """Sampling weight, as a relative jump of depth, of pieces that both probes found hidden."""
 _RATE = 0.2
@@ -53,10 +59,14 @@ class Sides(NamedTuple):
 
     jump: Any
     """Inverse depth of the foreground minus the background's, 0 where nothing shows [1/scene unit]."""
+    instance: Any
+    """Number of the instance on the foreground's side, 0 for none."""
     shape: Any
-    """Number of the shape on the foreground's side, 0 for none."""
+    """Number of the shape there, 0 for none."""
     face: Any
     """The face of it."""
+    seen: Any
+    """Inverse depth there [1/scene unit]."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +75,7 @@ class Contours:
 
     view: View
     table: EdgeTable
-    first_face: Ints
+    first_face: tuple[Ints, Ints]
     """See `surfaces.first_faces`."""
     pose: Floats
     """`world_from_camera`, rounded to float32 as the renderer has it."""
@@ -97,20 +107,35 @@ class Contours:
 
     def reach(self, block: Ints) -> Floats:
         """Film rectangle (n, 4) from which samples reach the pixels of blocks."""
-        low = self.corner(block)
-        high = np.minimum(low + BLOCK, self.view.size)
+        low = self.corner(block) + film_shift(self.view.pixel_filter)
+        high = np.minimum(self.corner(block) + BLOCK, self.view.size) + film_shift(self.view.pixel_filter)
         radius = self.view.pixel_filter.radius
         return np.concatenate([low + 0.5 - radius, high - 0.5 + radius], axis=1)
 
-    def side_points(self, placed: Placed, aperture: Floats) -> dict[str, Any]:
+    def aside(self, placed: Placed, piece: Ints) -> Floats:
+        """How far beside points of pieces their two surfaces are looked for (n, 1) [pixel].
+
+        Next to edges that is as near as float32 lets rays come, for other edges may be near, too. Where rays
+        begin to miss a sphere or a cylinder is less certain, and behind a hidden emitter they go on a little
+        beside their path.
+        """
+        reach = np.abs(self.pose[:3, 3]).max() + np.abs(placed.seen).max(axis=1, initial=0.0)
+        focal = np.abs(self.camera.focal).max()
+        rounding = 2.0**-24 * (max(self.camera.size) + 2.0 * focal * (1.0 + reach / placed.seen[:, 2]))
+        exact = (self.pieces.kind[piece] == EDGE) & (not self.view.integrator.hide_emitters)
+        return np.where(exact, np.minimum(_ROUNDINGS * rounding, ASIDE), ASIDE)[:, None]
+
+    def side_points(self, placed: Placed, piece: Ints, aperture: Floats) -> dict[str, Any]:
         """Points just beside those on contours, as kernel input; a lone one twice.
 
         Args:
+            piece: (n,) what was placed.
             aperture: (n, 2) the sensor's lens samples in [0, 1]² that give the points' lens points.
         """
         import mitsuba as mi
 
-        inner, outer = placed.film + ASIDE * placed.normal, placed.film - ASIDE * placed.normal
+        aside = self.aside(placed, piece) * placed.normal
+        inner, outer = placed.film + aside, placed.film - aside
         return {
             "inner": [upload(mi.Float, x) for x in widened(inner).T],
             "outer": [upload(mi.Float, x) for x in widened(outer).T],
@@ -127,16 +152,37 @@ class Contours:
             piece: (n,) what was placed.
             point: (n, 3) lens points.
         """
-        jump, shape, face = (lanes[: len(piece)] for lanes in sides)
-        jump = np.where(placed.length > 0.0, jump, 0.0).astype(np.float64)
+        jump, instance, shape, face, seen = (lanes[: len(piece)] for lanes in sides)
+        own, key = self.pieces.surface[piece], surface_key(instance.astype(np.int64), shape.astype(np.int64))
+        shows = (placed.length > 0.0) & ((own < 0) | (own == key))
+        jump = np.where(shows, jump, 0.0).astype(np.float64)
         edge = np.flatnonzero((jump > 0.0) & (self.pieces.kind[piece] == EDGE))
-        known = shape[edge] < len(self.first_face)  # not shapes inside instances
-        start = np.where(known, self.first_face[np.where(known, shape[edge], 0)], -1)
-        hit = np.where(start < 0, -1, start + face[edge])
-        world = self.pose[:3, 3] + (placed.seen + point)[edge] @ self.pose[:3, :3].T
+        keys, first = self.first_face
+        mesh = np.minimum(np.searchsorted(keys, key[edge]), len(keys) - 1)
+        hit = np.where(keys[mesh] == key[edge], first[mesh] + face[edge], -1)
+        rotation = self.pose[:3, :3]
+        centre = self.pose[:3, 3] + point[edge] @ rotation.T
         tolerance = 2.0 * ASIDE * np.abs(self.camera.scale).max() * placed.seen[edge, 2]
-        jump[edge[self.table.repeats(self.pieces.tag[piece[edge]], hit, world, tolerance)]] = 0.0
+        tag, world = self.pieces.tag[piece[edge]], centre + placed.seen[edge] @ rotation.T
+        hidden = self._hidden(tag, hit, seen[edge], placed.part(edge), piece[edge], point[edge])
+        jump[edge[hidden | self.table.repeats(tag, hit, world, tolerance, centre)]] = 0.0
         return jump
+
+    def _hidden(
+        self, tag: Ints, hit: Ints, seen: Floats, placed: Placed, piece: Ints, point: Floats
+    ) -> NDArray[np.bool_]:
+        """Which edges lie behind what is seen just inside of them: it is nearer than their own faces' planes.
+
+        What it shows is another edge's, of which this is too near to see past it. Of edges so close to one
+        another the innermost counts, by all that lies between its surface and what is seen beyond them.
+        """
+        inside = placed.film + self.aside(placed, piece) * placed.normal
+        direction = self.camera.directions(inside) - point * [1.0, 1.0, 0.0] / self.camera.focus
+        centre, rotation = self.pose[:3, 3], self.pose[:3, :3]
+        own = self.table.nearest(tag, centre + point @ rotation.T, direction @ rotation.T)
+        contour = 1.0 / placed.seen[:, 2]
+        nearer = seen > contour * (1.0 + _TOLERANCE) + 2.0 * np.maximum(own - contour, 0.0)
+        return np.asarray(nearer & ~self.table.next_to(tag, hit))
 
 
 def look(view: View, arrays: dict[str, Any]) -> tuple[Sides, mi.Ray3f, mi.Color3f]:
@@ -154,16 +200,18 @@ def look(view: View, arrays: dict[str, Any]) -> tuple[Sides, mi.Ray3f, mi.Color3
         camera_ray(view, mi.Point2f(*arrays[side]), mi.Point2f(*arrays["aperture"]))
         for side in ("inner", "outer")
     )
-    seen, shape, face = _first_hit(view, inner, arrays["transform"])
-    beyond, _, _ = _first_hit(view, outer, arrays["transform"])
+    seen, instance, shape, face = _first_hit(view, inner, arrays["transform"])
+    beyond, *_ = _first_hit(view, outer, arrays["transform"])
     contour = dr.rcp(arrays["depth"])
     shows = dr.abs(seen - contour) < dr.minimum(seen - beyond, dr.abs(contour - beyond))
-    sides = Sides(dr.select(shows, dr.maximum(contour - beyond, 0.0), 0.0), shape, face)
+    sides = Sides(dr.select(shows, dr.maximum(contour - beyond, 0.0), 0.0), instance, shape, face, seen)
     return sides, move_ray(outer, arrays["transform"]), importance
 
 
-def _first_hit(view: View, ray: mi.Ray3f, transform: mi.Transform4f) -> tuple[mi.Float, mi.UInt32, mi.UInt32]:
-    """Inverse depth of what is seen, 0 at infinity, its shape's number, 0 for none, and its face."""
+def _first_hit(
+    view: View, ray: mi.Ray3f, transform: mi.Transform4f
+) -> tuple[mi.Float, mi.UInt32, mi.UInt32, mi.UInt32]:
+    """Inverse depth of what is seen, 0 at infinity, instance's and shape's numbers, 0 for none, and face."""
     import mitsuba as mi
 
     world_ray = move_ray(ray, transform)
@@ -174,27 +222,19 @@ def _first_hit(view: View, ray: mi.Ray3f, transform: mi.Transform4f) -> tuple[mi
     else:
         hit = view.scene.ray_intersect_preliminary(world_ray)
         distance = hit.t
+        if has_instances(view.scene):  # whose shapes are not known before
+            hit = hit.compute_surface_interaction(world_ray, mi.RayFlags.Minimal)
     depth = dr.fma(distance, ray.d.z, ray.o.z)
     inverse_depth = dr.select(hit.is_valid(), dr.rcp(depth), 0.0)
-    shape = dr.select(hit.is_valid(), dr.reinterpret_array(mi.UInt32, hit.shape), 0)
-    return inverse_depth, shape, hit.prim_index
+    instance, shape = (
+        dr.select(hit.is_valid(), dr.reinterpret_array(mi.UInt32, pointer), 0)
+        for pointer in (hit.instance, hit.shape)
+    )
+    return inverse_depth, instance, shape, hit.prim_index
 
 
 def find_contours(view: View) -> Contours:
-    """What may be a contour in this view, and how to sample it.
-
-    Warns:
-        BlindSpotWarning: by name, of shapes whose contours are not known.
-    """
-    without = without_contours(view.scene)
-    if without:
-        warnings.warn(
-            f"the contours of {', '.join(without)} are not known to method 'flow': the parallax of their "
-            "silhouettes is missing, so translation directions may be under-informed (with a thin lens "
-            "rotation, too); use finite_difference",
-            BlindSpotWarning,
-            stacklevel=2,
-        )
+    """What may be a contour in this view, and how to sample it."""
     pose = view.pose.astype(np.float32).astype(np.float64)
     rotation, centre = pose[:3, :3], pose[:3, 3]
     camera_from_world = np.eye(4)
@@ -260,7 +300,7 @@ def _weighted(contours: Contours, block: Ints, length: Floats) -> Contours:
         placed = contours.place(np.arange(n), np.full(n, u), centre, everywhere)
         near = np.maximum(near, 1.0 / placed.seen[:, 2])
         if n:  # Dr.Jit does not divide empty arrays
-            arrays = contours.side_points(placed, np.full((n, 2), 0.5))
+            arrays = contours.side_points(placed, np.arange(n), np.full((n, 2), 0.5))
             sides = view.recorder.ready("probes", body, view, arrays, (view.integrator.hide_emitters,))()
             jump = contours.jump(Sides(*map(np.asarray, sides)), placed, np.arange(n), centre)
             seen += 0.5 * jump * placed.seen[:, 2]

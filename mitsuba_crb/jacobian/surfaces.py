@@ -3,23 +3,26 @@
 Meshes are read through the shape interface, which `rectangle` and `cube` share. The edge table depends on the
 geometry alone, so it is cached by its content: moving the camera, or changing and restoring vertices, never
 meets a stale table. Spheres, cylinders and disks are given by their `to_world`; every other kind of shape
-(instances, curves, signed distance fields, ellipsoids) has no contours here and is named, and so is a sphere
-or cylinder that is scaled unevenly, which Mitsuba itself warns of.
+(curves, signed distance fields, ellipsoids) has no contours here, and neither has a sphere or cylinder that
+is scaled unevenly, which Mitsuba itself warns of (`unfollowed`). Instances are their group's shapes, moved;
+Mitsuba lists the groups that stand in the scene itself, and an instance tells the name of its own.
 """
 
 from __future__ import annotations
 
 import functools
 import hashlib
+import re
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SceneError
+from ..render.scene import contents
 from .curves import CIRCLE, RIM, TANGENT, Curves
 from .edges import EdgeTable
 
@@ -31,6 +34,8 @@ Ints = NDArray[np.int64]
 
 
 _SMOOTH = ("Sphere", "Cylinder", "Disk")
+_MOST = 1 << 22
+"""Faces of instances, of which each takes as much memory as a mesh's; further ones have no contours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +55,42 @@ class _Meshes:
         return isinstance(other, _Meshes) and self.digest == other.digest
 
 
+@dataclass(frozen=True)
+class Surface:
+    """A shape where it stands."""
+
+    shape: mi.Shape
+    key: int
+    """By which a hit tells it: `surface_key` of the instance, 0 for none, and the shape."""
+    to_world: Floats | None
+    """4x4, of its instance; None of a shape that is none's."""
+
+
+def surfaces(scene: mi.Scene) -> list[Surface]:
+    """All shapes of a scene, those of groups once per instance; instances of groups that are not known."""
+    groups = _groups(scene) if has_instances(scene) else {}
+    found, budget = [], _MOST
+    for shape in scene.shapes():
+        children = groups.get(_group_name(shape), []) if shape.class_name() == "Instance" else []
+        budget -= sum(child.face_count() for child in children if child.is_mesh())
+        if not children or budget < 0:
+            found.append(Surface(shape, surface_key(0, _number(shape)), None))
+            continue
+        world = _to_world(shape)
+        found += [Surface(child, surface_key(_number(shape), _number(child)), world) for child in children]
+    return found
+
+
+def has_instances(scene: mi.Scene) -> bool:
+    """Whether a scene shows shapes that its list of shapes does not hold."""
+    return any(shape.class_name() == "Instance" for shape in scene.shapes())
+
+
+def surface_key(instance: Any, shape: Any) -> Any:
+    """One number of Dr.Jit's two."""
+    return (instance << 32) | shape
+
+
 def edge_table(scene: mi.Scene) -> EdgeTable:
     """The edges of all meshes of a scene; made once per geometry, whatever the pose.
 
@@ -58,18 +99,22 @@ def edge_table(scene: mi.Scene) -> EdgeTable:
     """
     vertices, faces, count = [np.empty((0, 3), np.float32)], [np.empty((0, 3), np.int64)], 0
     digest = hashlib.blake2b()
-    for shape in scene.shapes():
+    for surface in surfaces(scene):
+        shape = surface.shape
         if shape.is_mesh():
-            vertices.append(np.array(shape.vertex_positions_buffer(), dtype=np.float32).reshape(-1, 3))
+            own = np.array(shape.vertex_positions_buffer(), dtype=np.float32).reshape(-1, 3)
             index = np.array(shape.faces_buffer(), dtype=np.uint32).reshape(-1, 3)
-            if index.max(initial=0) >= len(vertices[-1]):
+            if index.max(initial=0) >= len(own):
                 raise SceneError(
-                    f"mesh {shape.id()} has {len(vertices[-1])} vertices and a face with vertex "
+                    f"mesh {shape.id()} has {len(own)} vertices and a face with vertex "
                     f"{index.max()}, counted from 0; export it again"
                 )
-            digest.update(vertices[-1].tobytes() + b"|" + index.tobytes() + b"|")
+            if surface.to_world is not None:
+                own = (own @ surface.to_world[:3, :3].T + surface.to_world[:3, 3]).astype(np.float32)
+            vertices.append(own)
+            digest.update(own.tobytes() + b"|" + index.tobytes() + b"|")
             faces.append(index.astype(np.int64) + count)
-            count += len(vertices[-1])
+            count += len(own)
     return _edge_table(_Meshes(np.concatenate(vertices), np.concatenate(faces), digest.digest()))
 
 
@@ -82,52 +127,82 @@ def _edge_table(meshes: _Meshes) -> EdgeTable:
     return table
 
 
-def first_faces(scene: mi.Scene) -> Ints:
-    """Each shape's first face in the edge table, by Dr.Jit's number of the shape; −1 if it is no mesh."""
-    import mitsuba as mi
-
-    number = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0]) for shape in scene.shapes()]
-    first, count = np.full(max(number, default=0) + 1, -1), 0
-    for i, shape in zip(number, scene.shapes(), strict=True):
-        if shape.is_mesh():
-            first[i] = count
-            count += shape.face_count()
-    return first
+def first_faces(scene: mi.Scene) -> tuple[Ints, Ints]:
+    """Keys of all meshes, ascending, and the first face of each in the edge table."""
+    meshes = [surface for surface in surfaces(scene) if surface.shape.is_mesh()]
+    key = np.array([mesh.key for mesh in meshes], dtype=np.int64)
+    count = np.array([mesh.shape.face_count() for mesh in meshes], dtype=np.int64)
+    order = np.argsort(key, kind="stable")
+    return key[order], (np.cumsum(count) - count)[order]
 
 
 def smooth_curves(scene: mi.Scene, camera_from_world: Floats) -> list[Curves]:
     """Curves of spheres, cylinders and disks that may be contours, in the camera frame."""
     found: dict[str, list[Floats]] = {name: [] for name in _SMOOTH}
-    for shape in scene.shapes():
-        if _is_smooth(shape):
-            found[shape.class_name()].append(camera_from_world @ _to_world(shape))
+    keys: dict[str, list[int]] = {name: [] for name in _SMOOTH}
+    for surface in surfaces(scene):
+        if _is_smooth(surface):
+            found[surface.shape.class_name()].append(camera_from_world @ _place(surface))
+            keys[surface.shape.class_name()].append(surface.key)
     sphere, cylinder, disk = (np.array(m).reshape(-1, 4, 4) for m in found.values())
+    spheres, cylinders, disks = (np.array(n, dtype=np.int64) for n in keys.values())
     base, x, y, axis = (cylinder[:, :3, j] for j in (3, 0, 1, 2))
     return [
-        Curves.of(CIRCLE, sphere[:, :3, 3], sphere[:, :3, 0]),
-        *(Curves.of(TANGENT, base, axis, x, np.full(len(base), sign)) for sign in (1, -1)),
-        Curves.of(RIM, base, x, y, inward=axis),
-        Curves.of(RIM, base + axis, x, y, inward=-axis),
-        Curves.of(RIM, disk[:, :3, 3], disk[:, :3, 0], disk[:, :3, 1]),
+        Curves.of(CIRCLE, sphere[:, :3, 3], sphere[:, :3, 0], surface=spheres),
+        *(Curves.of(TANGENT, base, axis, x, np.full(len(base), sign), surface=cylinders) for sign in (1, -1)),
+        Curves.of(RIM, base, x, y, inward=axis, surface=cylinders),
+        Curves.of(RIM, base + axis, x, y, inward=-axis, surface=cylinders),
+        Curves.of(RIM, disk[:, :3, 3], disk[:, :3, 0], disk[:, :3, 1], surface=disks),
     ]
 
 
-def without_contours(scene: mi.Scene) -> list[str]:
-    """Names and numbers of the shapes whose contours are not known, as "2 x Instance"."""
-    unknown = [s for s in scene.shapes() if not s.is_mesh() and not _is_smooth(s)]
-    names = [s.class_name() + (" (scaled unevenly)" if s.class_name() in _SMOOTH else "") for s in unknown]
-    return [f"{n} x {name}" for name, n in sorted(Counter(names).items())]
+def has_contours(surface: Surface) -> bool:
+    """Whether a shape's contours are known here."""
+    return bool(surface.shape.is_mesh() or _is_smooth(surface))
 
 
-def _is_smooth(shape: mi.Shape) -> bool:
+def _number(shape: mi.Shape) -> int:
+    """Dr.Jit's, by which a hit tells its shape."""
+    import mitsuba as mi
+
+    return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
+
+
+def _groups(scene: mi.Scene) -> dict[str, list[mi.Shape]]:
+    """The shapes of each group that the scene lists, by the group's name; of no name that two have."""
+    import mitsuba as mi
+
+    nodes = [node for node in contents(scene) if node.class_name() == "ShapeGroupPlugin"]
+    names = Counter(node.id() for node in nodes)
+    shapes = {
+        node.id(): [part for part in contents(node) if isinstance(part, mi.Shape) and part is not node]
+        for node in nodes
+    }
+    return {name: parts for name, parts in shapes.items() if names[name] == 1}
+
+
+def _group_name(instance: mi.Shape) -> str:
+    """What an instance says of its group; nothing else that Python reaches does."""
+    found = re.search(r'shapegroup = ShapeGroup\[\s*name = "([^"]*)"', str(instance))
+    return found.group(1) if found else ""
+
+
+def _is_smooth(surface: Surface) -> bool:
     """Whether a shape is a disk, or a sphere or cylinder that is round."""
-    if shape.class_name() not in _SMOOTH:
+    name = surface.shape.class_name()
+    if name not in _SMOOTH:
         return False
-    gram = _to_world(shape)[:3, :3].T @ _to_world(shape)[:3, :3]
-    if shape.class_name() == "Cylinder":
+    linear = _place(surface)[:3, :3]
+    gram = linear.T @ linear
+    if name == "Cylinder":
         gram[2, 2] = gram[0, 0]
     even = np.abs(gram - gram[0, 0] * np.eye(3)).max() <= 1e-4 * gram[0, 0]
-    return bool(even or shape.class_name() == "Disk")
+    return bool(even or name == "Disk")
+
+
+def _place(surface: Surface) -> Floats:
+    own = _to_world(surface.shape)
+    return own if surface.to_world is None else surface.to_world @ own
 
 
 def _to_world(shape: mi.Shape) -> Floats:

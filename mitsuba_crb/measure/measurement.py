@@ -34,6 +34,7 @@ from ..render import llvm
 from ..render.backend import use_mitsuba
 from ..render.random import PILOT
 from ..render.rays import coarse_grid
+from .differences import Differences
 from .measurable import Measurable
 from .mitsuba_view import open_measurable
 from .nuisances import Nuisance, name_parameters, nuisance_columns
@@ -64,6 +65,8 @@ class Measurement:
     """(H, W), the pixels to measure."""
     selection: PixelSelection
     """What they stand for."""
+    differences: Differences = dataclasses.field(default_factory=Differences)
+    """What finite differences have measured so far in the method's place."""
 
     @property
     def linearisation(self) -> Linearisation:
@@ -234,7 +237,9 @@ class Measurement:
             accumulator.add_coupled(values, noise, np.concatenate([part.pixels for part in parts]))
             return
         for part in self.tiles(pilot=noise.depends_on_mean):
-            accumulator.add(part.all_values, noise.weights(part.pixels, part.expected), part.pixels)
+            weights = noise.weights(part.pixels, part.expected)
+            accumulator.add(part.all_values, weights, part.pixels, part.bias)
+            self.differences.add(part, weights)
 
     def information(self, noise: NoiseModel) -> FisherInformation:
         """Of the pose, in the camera frame, with all nuisances known."""
@@ -260,15 +265,16 @@ class Measurement:
                 own has its errors in common with it, which would bias the information.
         """
         done, total, invalid = 0, int(self.mask.sum()), 0
-        for pixels, (columns, images, image) in self._in_turn():
+        for pixels, (columns, images, image, causes, step_bias) in self._in_turn():
             values, film = columns[..., :6], columns[..., 6:]
             others = None
             if self.nuisances:
                 others = nuisance_columns(self.nuisances, self.view, pixels, images, film, self.paths)
             done += len(pixels)
             expected = self._expected(pixels, image) if pilot else None
-            luminance = self.view.luminance
-            tile = TileJacobian(values, pixels, image, others, expected, luminance).finite()
+            tile = TileJacobian(
+                values, pixels, image, others, expected, self.view.luminance, causes, step_bias
+            ).finite()
             invalid += len(pixels) - len(tile.pixels)
             if self.options.on_tile is not None:
                 self.options.on_tile(tile, done, total)

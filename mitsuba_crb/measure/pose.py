@@ -99,6 +99,7 @@ def pose_bound(
         **run.provenance(),
         "noise": {**model.to_dict(), "description": model.description, "origin": origin},
         "noise_inflation": alone.information.noise_inflation,
+        "finite_differences": run.differences.to_dict(alone.information),
         "warnings": list(dict.fromkeys(str(warning.message) for warning in caught)),
         "seconds": {
             "prepare": prepared - start,

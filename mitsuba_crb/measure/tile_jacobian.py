@@ -24,6 +24,10 @@ class TileJacobian:
     """(n, 3) the image there by other random numbers; None where no noise depends on it."""
     luminance: bool = False
     """Whether the noise is that of one channel, the luminance."""
+    causes: NDArray[np.object_] | None = None
+    """None, or (n,) why finite differences measured a pixel, None where they did not."""
+    step_bias: float = 0.0
+    """Relative error that their step may leave in the information of those pixels."""
 
     def finite(self) -> TileJacobian:
         """Without the pixels at which anything is NaN or infinite."""
@@ -35,16 +39,27 @@ class TileJacobian:
         good = np.logical_and.reduce(
             [np.isfinite(values).all(axis=(0, *range(2, values.ndim))) for values in found]
         )
-        others = None if self.nuisance_values is None else self.nuisance_values[:, good]
-        pilot = None if self.pilot is None else self.pilot[good]
+        return self.part(good)
+
+    def part(self, rows: NDArray[np.bool_]) -> TileJacobian:
+        """Some of its pixels (n,)."""
+        others, pilot, causes = self.nuisance_values, self.pilot, self.causes
         return replace(
             self,
-            batch_values=self.batch_values[:, good],
-            pixels=self.pixels[good],
-            mean=self.mean[good],
-            nuisance_values=others,
-            pilot=pilot,
+            batch_values=self.batch_values[:, rows],
+            pixels=self.pixels[rows],
+            mean=self.mean[rows],
+            nuisance_values=None if others is None else others[:, rows],
+            pilot=None if pilot is None else pilot[rows],
+            causes=None if causes is None else causes[rows],
         )
+
+    @property
+    def bias(self) -> NDArray[np.float64] | None:
+        """(n,) relative error of their information by the step of finite differences; None without any."""
+        if self.causes is None or not self.step_bias:
+            return None
+        return np.where(self.causes != None, self.step_bias, 0.0)  # noqa: E711  # an array
 
     @property
     def expected(self) -> NDArray[np.float64]:

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 
     from .view import View
 
+_LEAST = 2.0**-23
+"""Least probability that Russian roulette can have: its random numbers are multiples of this."""
+_UNLIKELY = 1e-20
+"""Density [1/sr] below which no direction is met, but radiance over it may be beyond float32."""
 
 Numbers: TypeAlias = "tuple[mi.Point2f, mi.Point2f]"
 """Random numbers in [0, 1)² of a surface, for the emitter and for the direction in which the path goes on."""
@@ -74,6 +78,17 @@ class IntegratorTracer:
 
 
 @dataclass(frozen=True)
+class White:
+    """Everything that is seen is white: rays end at the first surface."""
+
+    def trace(self, view: View, _sampler: mi.Sampler, ray: mi.Ray3f, _first: Numbers | None = None) -> Seen:
+        """As the others, of radiance 1."""
+        import mitsuba as mi
+
+        return Seen(first_hit(view, ray), mi.Color3f(1.0), [])
+
+
+@dataclass(frozen=True)
 class PathTracer:
     """Mitsuba's `path`."""
 
@@ -114,7 +129,7 @@ class PathTracer:
         vertex = _scatter(view.scene, sampler, hit, ray, bounces, first)
         beyond = self._beyond(view, sampler, hit, vertex, bounces)
         light += vertex.towards_value * vertex.towards_weight + vertex.weight * beyond
-        density = dr.select(vertex.density > 0.0, dr.rcp(vertex.density), 0.0)
+        density = dr.select(vertex.density > _UNLIKELY, dr.rcp(vertex.density), 0.0)
         return light, [
             (vertex.towards, vertex.towards_weight),
             (vertex.direction, dr.select(vertex.delta, mi.Color3f(0.0), beyond * density)),
@@ -203,6 +218,7 @@ def _scatter(
         mi.BSDFContext(), si, towards, lobe, numbers[1] if numbers else sampler.next_2d(), active
     )
     heuristic = dr.select(emitter.delta, 1.0, _power_heuristic(emitter.pdf, density))
+    lit &= heuristic > 0.0  # radiance over density may be infinite there
     return _Vertex(
         towards,
         value,
@@ -227,7 +243,7 @@ def _survives(
 ) -> mi.Bool:
     """Russian roulette as in `path`; divides the throughput by the probability."""
     largest = dr.max(throughput * first)
-    probability = dr.minimum(largest * eta * eta, 0.95)
+    probability = dr.clip(largest * eta * eta, _LEAST, 0.95)
     plays = depth >= rr_depth
     survives = sampler.next_1d() < probability
     throughput[plays] *= dr.rcp(probability)
@@ -235,5 +251,7 @@ def _survives(
 
 
 def _power_heuristic(density: mi.Float, other: mi.Float) -> mi.Float:
-    squared = density * density
-    return dr.select(squared > 0.0, squared / (squared + other * other), 0.0)
+    """d²/(d² + o²), which may be beyond float32 where this is not; 0 where it has no value."""
+    ratio = other / density
+    weight = dr.rcp(dr.fma(ratio, ratio, 1.0))
+    return dr.select((density > 0.0) & dr.isfinite(weight), weight, 0.0)

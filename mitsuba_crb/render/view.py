@@ -102,6 +102,11 @@ class View:
         """Distance of the near plane [scene unit]."""
         return float(self.sensor.near_clip())
 
+    @property
+    def far_clip(self) -> float:
+        """Distance of the far plane [scene unit]."""
+        return float(self.sensor.far_clip())
+
 
 @contextlib.contextmanager
 def tracing(integrator: mi.Integrator) -> Iterator[None]:

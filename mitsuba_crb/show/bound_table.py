@@ -149,8 +149,17 @@ def _bound_facts(bound: PoseBound) -> list[tuple[str, str]]:
             f"seed {facts['seed']}",
         )
     )
+    differences = facts.get("finite_differences") or {}
+    if differences.get("blocks"):
+        rows.append(("instead", _differences(differences)))
     rows.append(("time", _seconds(facts["seconds"])))
     return rows
+
+
+def _differences(found: dict[str, Any]) -> str:
+    """Which part of the information finite differences measured, and why."""
+    causes = ", ".join(f"{cause} in {n} block{'s' * (n > 1)}" for cause, n in sorted(found["blocks"].items()))
+    return f"finite differences gave {100 * found['share']:.2g} % of the information's trace: {causes}"
 
 
 def _length_scale(length: float) -> str:

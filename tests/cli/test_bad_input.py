@@ -376,13 +376,33 @@ def test_faces_without_area_or_not_finite_change_nothing() -> None:
     ],
 )
 def test_surfaces_that_the_near_plane_cuts_are_named(kind: str, near: float, cut: bool) -> None:
-    """A sphere beyond, across and wholly before the near plane; the last leaves no edge in the image."""
+    """A sphere beyond, across and wholly before the near plane; the last leaves no edge in the image.
+
+    Flow leaves them to finite differences; forward says what its numbers are worth.
+    """
     lens = {"aperture_radius": 0.01, "focus_distance": 3.0} if kind == "thinlens" else {}
     sensor = camera() | lens | {"type": kind, "near_clip": near}
     ball = {"type": "sphere", "center": [0, 0, 2], "radius": 0.5}
+    blocks, named = cut_by(scene(wall=wall(texture()), ball=ball, sensor=sensor))
+    assert ("near plane" in blocks) == cut
+    assert len([text for text in named if "near plane" in text and "any direction" in text]) == cut
+
+
+@pytest.mark.parametrize(("far", "cut"), [(10.0, True), (0.9, False), (1e4, False)])
+def test_surfaces_that_the_far_plane_cuts_are_named(far: float, cut: bool) -> None:
+    """A floor that runs beyond the far plane, is wholly beyond it, or ends so far out as the horizon."""
+    level = T().translate([0, -1, 0]).rotate([1, 0, 0], -90).scale(1e5)
+    sensor = camera(target=(0, 0, 1)) | {"far_clip": far}
+    blocks, named = cut_by(scene(floor={"type": "rectangle", "to_world": level}, sensor=sensor))
+    assert ("far plane" in blocks) == cut
+    assert len([text for text in named if "far plane at 10" in text and "finite_difference" in text]) == cut
+
+
+def cut_by(which: dict[str, Any]) -> tuple[dict[str, int], list[str]]:
+    """Which blocks flow left to finite differences, and what forward warns of."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        pose_jacobian(scene(wall=wall(texture()), ball=ball, sensor=sensor), spp=4)
-    named = [str(w.message) for w in caught if issubclass(w.category, BlindSpotWarning)]
-    assert len(named) == cut
-    assert all("near plane" in text and "any direction" in text for text in named)
+        found = pose_bound(which, Gaussian(0.1), spp=4)
+        pose_jacobian(which, spp=4, method="forward")
+    texts = [str(w.message) for w in caught if issubclass(w.category, BlindSpotWarning)]
+    return found.provenance["finite_differences"]["blocks"], texts

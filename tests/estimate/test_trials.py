@@ -75,7 +75,7 @@ def test_what_the_method_cannot_see_is_said_once_even_if_a_trial_fails(
     monkeypatch.setattr(trial, "align", fail)
     cut = textured_wall(sensor=camera(16, 12) | {"near_clip": 3.0})
     with pytest.warns(BlindSpotWarning, match="near plane") as caught, pytest.raises(OptionError):
-        validate(cut, trials=8, **OPTIONS)
+        validate(cut, trials=8, method="forward", **OPTIONS)
     assert len(caught) == 1
 
 

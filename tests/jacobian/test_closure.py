@@ -1,0 +1,194 @@
+"""Closure: flow says by itself where its geometry is wrong, and leaves those blocks to finite differences."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from small_scenes import T, scene, wall
+
+from mitsuba_crb import pose_bound
+from mitsuba_crb.information.accumulate import InformationAccumulator
+from mitsuba_crb.jacobian import flow
+from mitsuba_crb.jacobian.closure import FilmBlocks, _squares, breaches, suspects
+from mitsuba_crb.jacobian.finite_difference import BIAS, edge_bias, step_for
+from mitsuba_crb.jacobian.silhouettes import Contours
+from mitsuba_crb.noise import Gaussian
+from mitsuba_crb.render.film import PixelFilter
+
+pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")
+
+RNG = np.random.default_rng(0)
+GRID = np.stack(np.meshgrid(np.arange(16), np.arange(8)), axis=-1).reshape(-1, 2)
+BLOCKS = FilmBlocks.of(GRID)
+
+
+# The statistic
+
+
+@pytest.mark.parametrize("batches", [4, 5, 16])
+def test_u_is_without_bias_and_its_error_is_right_where_pixels_share_noise(batches: int) -> None:
+    """2,000 trials of noise that all pixels of a block have in common, and of a breach of 1 in one block."""
+    squares, errors = [], []
+    for _ in range(2000):
+        residual = np.ones((batches, 128, 3)) * RNG.normal(size=(batches, 1, 3))
+        residual[:, BLOCKS.home == 1] += 1.0
+        square, error = _squares(residual, BLOCKS)
+        squares.append(square)
+        errors.append(error)
+    mean, spread = np.mean(squares, axis=0), np.std(squares, axis=0)
+    assert np.all(np.abs(mean - [0.0, 192.0]) < 4.0 * spread / np.sqrt(2000))
+    # Himeno and Yamada's estimate has no bias; the larger of two has some, upwards.
+    assert 0.9 < np.sqrt(np.mean(np.square(errors), axis=0))[0] / spread[0] < 1.5
+
+
+def test_the_trace_of_the_squared_covariance_is_the_mean_over_disjoint_pairs() -> None:
+    """Which is free of the mean: ((R_k − R_l)·(R_m − R_n))² / 4 has the expectation tr(Σ²)."""
+    one = FilmBlocks.of(np.array([[0, 0]]))
+    R = RNG.normal(size=(6, 1, 3)) + 5.0
+    # Of a single pixel both estimates are of its own covariance; many equal pixels make the other one small.
+    wide = np.repeat(R, 1, axis=1)
+    products = [
+        ((R[k, 0] - R[j, 0]) @ (R[m, 0] - R[n, 0])) ** 2 / 4.0
+        for (k, j), (m, n) in combinations(combinations(range(6), 2), 2)
+        if len({k, j, m, n}) == 4
+    ]
+    centred = R[:, 0] - R[:, 0].mean(axis=0)
+    apart = np.sum((centred.T @ centred / 5.0) ** 2)
+    _, error = _squares(wide, one)
+    assert error[0] ** 2 == pytest.approx(2.0 / 30.0 * max(apart, np.mean(products)))
+
+
+def test_noise_raises_few_suspects_and_no_blame() -> None:
+    pixels = np.stack(np.meshgrid(np.arange(256), np.arange(256)), axis=-1).reshape(-1, 2)
+    blocks = FilmBlocks.of(pixels)
+    few, many = (RNG.normal(size=(k, len(pixels), 3)) for k in (4, 16))
+    image = RNG.random((len(pixels), 3))
+    columns = RNG.normal(size=(4, len(pixels), 3, 3))
+    assert suspects(few, columns, image, blocks).mean() < 0.01
+    assert breaches(many, blocks).mean() < 0.002
+    # The control: half a standard deviation of one batch, in one block.
+    many[:, blocks.home == 7] += 0.5
+    assert breaches(many, blocks)[7]
+
+
+def test_a_breach_that_no_contrast_shows_is_no_suspect() -> None:
+    residual = RNG.normal(size=(4, 128, 3)) + 10.0
+    columns = np.ones((4, 128, 3, 3))
+    image = RNG.random((128, 1)) * np.ones(3)
+    assert suspects(residual, columns, image, BLOCKS).all()
+    assert not suspects(residual, columns, np.full((128, 3), 0.7), BLOCKS).any()
+    assert not suspects(residual, 1e4 * columns, image, BLOCKS).any()
+
+
+# What it leads to
+
+SQUARE = {
+    "type": "rectangle",
+    "to_world": T().translate([0.1, 0.05, 2.0]).rotate([0, 1, 0], 180).scale(0.3),
+    "bsdf": {"type": "diffuse", "reflectance": 0.0},
+}
+
+
+def information(which: dict[str, Any], spp: int = 256, **options: Any) -> Any:
+    return pose_bound(which, Gaussian(0.05), spp=spp, **options)
+
+
+def agree(a: Any, b: Any, tolerance: float = 0.03) -> bool:
+    """Whether two informations' diagonals agree within 4 errors, or 3 %."""
+    one, other = np.diag(a.matrix), np.diag(b.matrix)
+    error = np.hypot(np.diag(a.standard_error), np.diag(b.standard_error))
+    return bool(np.all(np.abs(one - other) <= np.maximum(tolerance * np.abs(other), 4.0 * error)))
+
+
+@pytest.mark.parametrize("factor", [0.0, 2.0])
+def test_contours_that_count_wrongly_are_found_and_mended(
+    factor: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    which = scene(wall=wall(), square=SQUARE)
+    right = information(which)
+    assert not right.provenance["finite_differences"]["blocks"]
+    jump = Contours.jump
+    monkeypatch.setattr(Contours, "jump", lambda *args: factor * jump(*args))
+    mended = information(which)
+    found = mended.provenance["finite_differences"]
+    assert set(found["blocks"]) == {"stacked edges"}
+    assert found["share"] > 0.3
+    assert agree(mended.information, right.information)
+    monkeypatch.setattr(flow, "suspects", lambda *args: np.zeros(len(args[-1].number), dtype=bool))
+    assert not agree(information(which).information, right.information)
+
+
+def test_an_instance_has_the_information_of_its_mesh() -> None:
+    mesh = information(scene(wall=wall(), square=SQUARE))
+    group = {"type": "shapegroup", "square": SQUARE | {"to_world": T()}}
+    placed = {"type": "instance", "group": {"type": "ref", "id": "group"}, "to_world": SQUARE["to_world"]}
+    instance = information(scene(wall=wall(), group=group, placed=placed))
+    assert agree(instance.information, mesh.information)
+    assert set(instance.provenance["finite_differences"]["blocks"]) <= {"instances"}
+
+
+@pytest.mark.parametrize("plane", ["far", "near"])
+def test_a_clip_plane_moves_with_the_camera(plane: str) -> None:
+    """A bright floor that ends at the plane: its edge tells height and pitch as one number, and roll.
+
+    The edge is the film line y/z = −1/4, whose motion is −ρy/4 + φx − φz x/z. Over a box film's row of pixels
+    it changes the image by C f per unit, f the focal length.
+    """
+    sensor = {
+        "type": "perspective",
+        "fov": 60.0,
+        f"{plane}_clip": 4.0,
+        "film": {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}},
+    }
+    floor = {
+        "type": "rectangle",
+        "to_world": T().translate([0, -1, 0]).rotate([1, 0, 0], -90).scale(400.0),
+        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 0.5}},
+    }
+    found = information({"type": "scene", "sensor": sensor, "floor": floor}, spp=4096)
+    F, error = found.information.matrix, found.information.standard_error
+    focal = 8.0 / np.tan(np.radians(30.0))
+    x = (np.arange(16) - 7.5) / focal
+    columns = np.outer(np.ones(16), [0.0, -0.25, 0.0, 1.0, 0.0, 0.0])
+    columns[:, 5] = x
+    expected = 3.0 * (0.5 * focal / 0.05) ** 2 * columns.T @ columns
+    if plane == "near":  # the horizon is far beyond the plane: what lies there tells of rotation
+        expected[3:, 3:] *= 2.0
+    size = np.sqrt(np.maximum(np.diag(expected), np.diag(F)))
+    assert set(found.provenance["finite_differences"]["blocks"]) == {f"{plane} plane"}
+    assert np.all(np.abs(F - expected) <= np.maximum(0.03 * np.outer(size, size), 4.0 * error))
+
+
+# The price: bias by the step
+
+
+def test_the_step_for_a_filter_hides_little_of_an_edge() -> None:
+    """Of a box of width 1 and a step h, the trapezoid's ∫ is 1 − 2h/3: linear in the step."""
+    box = PixelFilter.of(mi.load_dict({"type": "box"}))
+    assert edge_bias(box, 0.15) == pytest.approx(0.1, rel=0.01)
+    assert edge_bias(box, 0.075) == pytest.approx(0.05, rel=0.01)
+    for name in ("box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos"):
+        pixel_filter = PixelFilter.of(mi.load_dict({"type": name}))
+        assert 0.0 < edge_bias(pixel_filter, step_for(pixel_filter)) <= BIAS
+
+
+def test_a_bias_in_common_enters_the_covariance_with_its_square() -> None:
+    values, weights = RNG.normal(size=(4, 128, 3, 6)) + 3.0, np.ones((128, 3))
+    sums = []
+    for bias in (None, np.where(BLOCKS.home == 1, 0.1, 0.0)):
+        accumulator = InformationAccumulator(batches=4, block=8)
+        accumulator.add(values, weights, GRID, bias)
+        sums.append(accumulator.added)
+    only = InformationAccumulator(batches=4, block=8)
+    rows = BLOCKS.home == 1
+    only.add(values[:, rows], weights[rows], GRID[rows])
+    part = 0.1 * only.added.matrix[np.triu_indices(6)]
+    np.testing.assert_array_equal(sums[0].matrix, sums[1].matrix)
+    difference = sums[1].covariance_of_entries - sums[0].covariance_of_entries
+    np.testing.assert_allclose(
+        difference, np.outer(part, part), rtol=1e-6, atol=1e-9 * np.abs(difference).max()
+    )
