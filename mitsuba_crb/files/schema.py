@@ -1,36 +1,18 @@
-"""Files: read whole or refused in one line; written whole or not there.
-
-One function reads each kind of contents, and `checked` compares tables with their schema, a `Table`. All of
-them raise the class of error that they are given, with a message that names the file. `jsonable` says how
-numbers that JSON does not know are written.
-"""
+"""A document compared with its schema, a `Table`, or refused in one line that says where it is not so."""
 
 from __future__ import annotations
 
-import io
-import json
-import math
-import os
 import reprlib
-import secrets
-import tomllib
-import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
-from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError, WrapValidator, model_validator
 from pydantic_core import PydanticCustomError
 
-from .errors import OutputError
+from .reading import Fault
 
-T = TypeVar("T")
 TableT = TypeVar("TableT", bound="Table")
-Fault = type[Exception]
 
 _EXPECTED = {
     "int_type": "a whole number",
@@ -46,86 +28,6 @@ _EXPECTED = {
     "expected": "{words}",
 }
 """What a value must be, by pydantic's name of the fault."""
-
-
-def read_text(path: Path, fault: Fault) -> str:
-    """A text."""
-    return _read(path, fault, "UTF-8 text", _text)
-
-
-def read_toml(path: Path, fault: Fault) -> dict[str, Any]:
-    """A TOML document."""
-    return _read(path, fault, "TOML", lambda data: tomllib.loads(_text(data)))
-
-
-def read_json(path: Path, fault: Fault) -> Any:
-    """A JSON document."""
-    return _read(path, fault, "JSON", lambda data: json.loads(_text(data)))
-
-
-def read_rows(path: Path, fault: Fault) -> NDArray[np.float64]:
-    """Rows (n, m) of numbers, separated by blanks; `#` starts a comment."""
-    return _read(path, fault, "text of as many numbers in every row", _rows)
-
-
-def read_array(path: Path, fault: Fault) -> NDArray[Any]:
-    """A `.npy` file's array of real numbers."""
-    return _read(path, fault, ".npy file of real numbers", _array)
-
-
-def read_sparse(path: Path, fault: Fault) -> Any:
-    """A sparse matrix that `scipy.sparse.save_npz` wrote."""
-    return _read(path, fault, ".npz file of a sparse matrix", _sparse)
-
-
-def read_grey(path: Path, fault: Fault) -> NDArray[np.uint8]:
-    """An image's grey values (H, W)."""
-    return _read(path, fault, "image", _grey)
-
-
-def _read(path: Path, fault: Fault, kind: str, decode: Callable[[bytes], T]) -> T:
-    try:
-        data = path.read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: of a name with a null character
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise fault(f"cannot read {path}: {reason}") from error
-    try:
-        return decode(data)
-    except Exception as error:  # what decoders stumble over in damaged data has no common class
-        raise fault(f"{path} is no {kind}: {str(error)[:200] or 'it ends too early'}") from error
-
-
-def _text(data: bytes) -> str:
-    return data.decode("utf-8-sig")
-
-
-def _rows(data: bytes) -> NDArray[np.float64]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # NumPy's own remark on an empty text
-        return np.loadtxt(io.StringIO(_text(data)), ndmin=2)
-
-
-def _array(data: bytes) -> NDArray[Any]:
-    array = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
-    if array.dtype.kind not in "biuf":
-        raise TypeError(f"its numbers are {array.dtype}")
-    return array
-
-
-def _sparse(data: bytes) -> Any:
-    from scipy import sparse
-
-    matrix = sparse.load_npz(io.BytesIO(data))
-    if hasattr(matrix, "check_format"):  # of compressed formats, whose indices nobody has looked at yet
-        matrix.check_format()
-    return matrix
-
-
-def _grey(data: bytes) -> NDArray[np.uint8]:
-    from PIL import Image
-
-    with Image.open(io.BytesIO(data)) as picture:
-        return np.asarray(picture.convert("L"))
 
 
 class Table(BaseModel):
@@ -230,36 +132,3 @@ def _place(document: Any, steps: Sequence[str | int]) -> list[str]:
 def _near(name: str, known: Iterable[str]) -> str:
     near = get_close_matches(name, known, 1)
     return f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
-
-
-def jsonable(value: Any) -> Any:
-    """What strict JSON can hold: arrays as lists, infinities as "inf" or "-inf", not-a-number as None."""
-    if isinstance(value, Mapping):
-        return {str(key): jsonable(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return jsonable(value.tolist())
-    if isinstance(value, list | tuple):
-        return [jsonable(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else ("inf" if value > 0.0 else "-inf")
-    return str(value) if isinstance(value, Path) else value
-
-
-@contextmanager
-def atomic(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` that replaces it when the block ends, and vanishes if it fails."""
-    target = Path(os.path.realpath(path))  # a link keeps pointing where it did
-    temporary = temporary_path(target)
-    try:
-        yield temporary
-        os.replace(temporary, target)
-    except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
-
-
-def temporary_path(path: Path) -> Path:
-    """A new name in the same folder."""
-    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")

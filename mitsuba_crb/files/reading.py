@@ -1,0 +1,101 @@
+"""Files read whole, or refused in one line.
+
+One function reads each kind of contents. All of them raise the class of error that they are given, with a
+message that names the file.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import tomllib
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+T = TypeVar("T")
+Fault = type[Exception]
+
+
+def read_text(path: Path, fault: Fault) -> str:
+    """A text."""
+    return _read(path, fault, "UTF-8 text", _text)
+
+
+def read_toml(path: Path, fault: Fault) -> dict[str, Any]:
+    """A TOML document."""
+    return _read(path, fault, "TOML", lambda data: tomllib.loads(_text(data)))
+
+
+def read_json(path: Path, fault: Fault) -> Any:
+    """A JSON document."""
+    return _read(path, fault, "JSON", lambda data: json.loads(_text(data)))
+
+
+def read_rows(path: Path, fault: Fault) -> NDArray[np.float64]:
+    """Rows (n, m) of numbers, separated by blanks; `#` starts a comment."""
+    return _read(path, fault, "text of as many numbers in every row", _rows)
+
+
+def read_array(path: Path, fault: Fault) -> NDArray[Any]:
+    """A `.npy` file's array of real numbers."""
+    return _read(path, fault, ".npy file of real numbers", _array)
+
+
+def read_sparse(path: Path, fault: Fault) -> Any:
+    """A sparse matrix that `scipy.sparse.save_npz` wrote."""
+    return _read(path, fault, ".npz file of a sparse matrix", _sparse)
+
+
+def read_grey(path: Path, fault: Fault) -> NDArray[np.uint8]:
+    """An image's grey values (H, W)."""
+    return _read(path, fault, "image", _grey)
+
+
+def _read(path: Path, fault: Fault, kind: str, decode: Callable[[bytes], T]) -> T:
+    try:
+        data = path.read_bytes()
+    except (OSError, ValueError) as error:  # ValueError: of a name with a null character
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        raise fault(f"cannot read {path}: {reason}") from error
+    try:
+        return decode(data)
+    except Exception as error:  # what decoders stumble over in damaged data has no common class
+        raise fault(f"{path} is no {kind}: {str(error)[:200] or 'it ends too early'}") from error
+
+
+def _text(data: bytes) -> str:
+    return data.decode("utf-8-sig")
+
+
+def _rows(data: bytes) -> NDArray[np.float64]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # NumPy's own remark on an empty text
+        return np.loadtxt(io.StringIO(_text(data)), ndmin=2)
+
+
+def _array(data: bytes) -> NDArray[Any]:
+    array = np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+    if array.dtype.kind not in "biuf":
+        raise TypeError(f"its numbers are {array.dtype}")
+    return array
+
+
+def _sparse(data: bytes) -> Any:
+    from scipy import sparse
+
+    matrix = sparse.load_npz(io.BytesIO(data))
+    if hasattr(matrix, "check_format"):  # of compressed formats, whose indices nobody has looked at yet
+        matrix.check_format()
+    return matrix
+
+
+def _grey(data: bytes) -> NDArray[np.uint8]:
+    from PIL import Image
+
+    with Image.open(io.BytesIO(data)) as picture:
+        return np.asarray(picture.convert("L"))
