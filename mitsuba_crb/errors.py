@@ -79,6 +79,10 @@ class OutputError(MitsubaCRBError):
     """An output file cannot be written; checked before anything is rendered."""
 
 
+class DocumentError(MitsubaCRBError):
+    """A document is not what `to_dict` of this class writes: of another class or layout, or damaged."""
+
+
 class ConfigError(MitsubaCRBError):
     """A team's file cannot be read, or has a key or a value that means nothing."""
 

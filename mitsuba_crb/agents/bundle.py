@@ -30,6 +30,7 @@ from scipy.linalg import block_diag
 from .. import se3
 from ..camera import Camera
 from ..errors import PointsError
+from ..files import Record
 from ..information.fisher import FisherInformation
 from ..information.linearisation import Linearisation, PixelSelection
 from ..information.significance import no_information
@@ -45,7 +46,7 @@ _UNMEASURED = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class PointView:
+class PointView(Record):
     """One camera that sees points, and how well."""
 
     variable: str

@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike
 
 from .. import se3
 from ..errors import FusionError
+from ..files import Record
 from ..information.fisher import FisherInformation
 from ..information.significance import identified
 from ..noise.covariance import inverse_cholesky
@@ -39,7 +40,7 @@ _BISECTIONS = 60
 
 
 @dataclass(frozen=True, eq=False)
-class Intersection:
+class Intersection(Record):
     """A consistent combination of sources of unknown correlation."""
 
     information: FisherInformation

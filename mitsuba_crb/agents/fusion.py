@@ -26,7 +26,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from operator import add
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,6 +33,7 @@ from numpy.typing import ArrayLike
 from .. import se3
 from ..bound.cramer_rao import PoseBound, cramer_rao_bound
 from ..errors import FrameError, FusionError
+from ..files import Record
 from ..information.fisher import FisherInformation
 from ..information.significance import identified, refuse_negative
 from ..noise.covariance import roots
@@ -46,7 +46,7 @@ _NUISANCE_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Agent:
+class Agent(Record):
     """One agent, where it sits on the common body, and what it knows about its own pose."""
 
     name: str
@@ -68,7 +68,7 @@ class Agent:
 
 
 @dataclass(frozen=True, eq=False)
-class AgentShare:
+class AgentShare(Record):
     """What one agent brings to the joint information."""
 
     name: str
@@ -83,7 +83,7 @@ class AgentShare:
 
 
 @dataclass(frozen=True, eq=False)
-class Fusion:
+class Fusion(Record):
     """What the agents know together."""
 
     information: FisherInformation
@@ -95,11 +95,6 @@ class Fusion:
     def bound(self) -> PoseBound:
         """The Cramér–Rao bound of the body's pose."""
         return cramer_rao_bound(self.information)
-
-    def to_dict(self) -> dict[str, Any]:
-        """The bound's values and the agents', JSON-able."""
-        agents = [{"name": a.name, "rank": a.rank, "share": a.share} for a in self.agents]
-        return {**self.bound.to_dict(), "agents": agents}
 
     def __str__(self) -> str:
         lines = [f"{a.name}: rank {a.rank}, share {a.share:.1%}" for a in self.agents]

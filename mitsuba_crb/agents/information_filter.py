@@ -29,6 +29,7 @@ from numpy.typing import ArrayLike
 
 from .. import se3
 from ..errors import FrameError, FusionError
+from ..files import Record
 from ..information.fisher import FisherInformation
 from ..information.significance import seen_root
 from ..information.symmetric import congruence, symmetrised
@@ -38,7 +39,7 @@ from .message import Message, decode
 
 
 @dataclass(frozen=True, eq=False)
-class Contribution:
+class Contribution(Record):
     """What one message, or a delta and its base, adds."""
 
     message: Message

@@ -14,6 +14,7 @@ from numbers import Integral
 import numpy as np
 
 from ..errors import MessageError
+from ..files import Record
 from ..information.fisher import FisherInformation
 from ..information.symmetric import congruence
 from ..se3 import Array
@@ -24,7 +25,7 @@ from .quantisation import FORMS, Form, Precision, QuantisedInformation, kept_fra
 
 
 @dataclass(frozen=True, eq=False)
-class Message:
+class Message(Record):
     """A decoded message."""
 
     agent: str

@@ -36,6 +36,7 @@ from scipy.sparse.csgraph import connected_components
 
 from .. import se3
 from ..errors import FusionError
+from ..files import Record
 from ..information.fisher import FisherInformation
 from ..information.identifiability import FLOAT32_FLOOR
 from ..information.linearisation import Linearisation, PixelSelection
@@ -51,7 +52,7 @@ _NAMES = 4
 
 
 @dataclass(frozen=True, eq=False)
-class RelativePose:
+class RelativePose(Record):
     """A measurement of b's pose seen from a, a_from_b exp(ε)."""
 
     a: str
@@ -70,7 +71,7 @@ class RelativePose:
 
 
 @dataclass(frozen=True, eq=False)
-class JointPoseInformation:
+class JointPoseInformation(Record):
     """What one measurement tells of several poses together, such as points that they all see."""
 
     variables: tuple[str, ...]
@@ -87,7 +88,7 @@ class JointPoseInformation:
 
 
 @dataclass(frozen=True)
-class Gauge:
+class Gauge(Record):
     """What is free in a connected part of the graph."""
 
     variables: tuple[str, ...]

@@ -25,14 +25,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from numbers import Real
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..bound.criteria import OBJECTIVES, Criterion, Trace
 from ..errors import SelectionError
-from ..files import jsonable
+from ..files import Record
 from ..information.symmetric import symmetrised
 from ..noise.covariance import nearest_semidefinite, positive_matrix
 from ..se3 import Array
@@ -65,7 +65,7 @@ class Baseline:
 
 
 @dataclass(frozen=True)
-class TileSelection:
+class TileSelection(Record):
     """Which tiles to send, what they are worth, and what no choice could exceed."""
 
     objective: str
@@ -96,22 +96,6 @@ class TileSelection:
         bound = min(self.upper_bound, upper_bound)
         certificate = _certificate(self.value, self.value_empty, bound)
         return replace(self, upper_bound=bound, certificate=certificate)
-
-    def to_dict(self) -> dict[str, Any]:
-        """All fields as JSON-able values: infinities as the string "inf" or "-inf"."""
-        return {
-            "objective": self.objective,
-            "chosen": [{"agent": chosen.agent, "tile": chosen.tile} for chosen in self.chosen],
-            "value": jsonable(self.value),
-            "value_heldout": jsonable(self.value_heldout),
-            "value_empty": jsonable(self.value_empty),
-            "upper_bound": jsonable(self.upper_bound),
-            "certificate": jsonable(self.certificate),
-            "guarantee": self.guarantee,
-            "baselines": {name: jsonable(vars(base)) for name, base in self.baselines.items()},
-            "total_bytes": self.total_bytes,
-            "evaluations": self.evaluations,
-        }
 
     def __str__(self) -> str:
         agents = len({chosen.agent for chosen in self.chosen})

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from .. import se3
 from ..errors import FusionError
+from ..files import Record
 from ..information.fisher import FisherInformation
 from ..information.significance import seen_root
 from ..noise.covariance import positive_matrix
@@ -23,7 +24,7 @@ from ..se3 import Array
 
 
 @dataclass(frozen=True, eq=False)
-class SharedNuisance:
+class SharedNuisance(Record):
     """Parameters that several agents' measurements depend on."""
 
     name: str

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import se3
 from ..errors import FrameError, SelectionError
+from ..files import Record
 from ..information.linearisation import Linearised
 from ..information.symmetric import symmetrised
 from ..se3 import Array
@@ -89,7 +90,7 @@ class TileInformation(Linearised):
 
 
 @dataclass(frozen=True)
-class Budget:
+class Budget(Record):
     """How much may be sent; None is no limit. A limit per agent is one number for all, or one by name."""
 
     tiles: int | None = None

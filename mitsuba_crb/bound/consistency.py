@@ -16,12 +16,12 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from ..errors import TrialError
+from ..files import Record
 from ..information.fisher import FisherInformation
 from ..noise.covariance import positive_matrix, roots
 from ..se3 import Array
@@ -47,7 +47,7 @@ class Coverage:
 
 
 @dataclass(frozen=True, eq=False)
-class Consistency:
+class Consistency(Record):
     """Errors of an estimator beside the bound."""
 
     count: int
@@ -76,20 +76,6 @@ class Consistency:
         inside = (self.wishart_band[:, 0] <= values) & (values <= self.wishart_band[:, 1])
         covered = all(c.low <= c.nominal <= c.high for c in self.coverage)
         return bool(low <= self.nees <= high and inside.all() and covered)
-
-    def to_dict(self) -> dict[str, Any]:
-        """All fields as JSON-able values."""
-        return {
-            "count": self.count,
-            "nees": self.nees,
-            "nees_band": list(self.nees_band),
-            "generalized_eigenvalues": self.generalized_eigenvalues.tolist(),
-            "directions": self.directions.tolist(),
-            "wishart_band": self.wishart_band.tolist(),
-            "coverage": [vars(c).copy() for c in self.coverage],
-            "bias": self.bias.tolist(),
-            "consistent": self.consistent,
-        }
 
 
 def consistency(errors: Array, information: FisherInformation, *, confidence: float = 0.95) -> Consistency:

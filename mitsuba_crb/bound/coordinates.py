@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from .. import se3
 from ..errors import CoordinatesError
-from ..files import jsonable
+from ..files import Record
 from ..information.fisher import FisherInformation
 from ..se3 import Array
 from .cramer_rao import PoseBound, cramer_rao_bound
@@ -55,7 +54,7 @@ class Coordinates:
 
 
 @dataclass(frozen=True, eq=False)
-class CoordinateBound:
+class CoordinateBound(Record):
     """The Cramér–Rao bound of the six coordinates."""
 
     coordinates: Coordinates
@@ -68,21 +67,6 @@ class CoordinateBound:
     """(6,), their Monte Carlo standard errors; `nan` where the bound is infinite."""
     information: Array
     """(6, 6), F_y, of the image and the prior."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """All fields as JSON-able values: infinities as the string "inf", not-a-number as None."""
-        y = self.coordinates
-        return {
-            "coordinates": y.name,
-            "components": list(y.components),
-            "units": list(y.units),
-            "values": jsonable(y.values),
-            "jacobian": jsonable(y.jacobian),
-            "covariance": jsonable(self.covariance),
-            "std": jsonable(self.std),
-            "std_standard_error": jsonable(self.std_standard_error),
-            "information": jsonable(self.information),
-        }
 
     def __str__(self) -> str:
         y = self.coordinates

@@ -21,10 +21,11 @@ from numpy.typing import ArrayLike
 
 from .. import se3
 from ..errors import NuisanceWarning, OptionError, PrecisionWarning
-from ..files import jsonable
+from ..files import Record
 from ..information.fisher import FisherInformation
 from ..information.identifiability import PoseDirection, readable_basis, weakest_direction
 from ..information.joint import JointInformation
+from ..noise.covariance import positive_matrix
 from ..se3 import Array, Frame
 from .criteria import LAMBDA_MIN, KieferMean, LogDet
 from .inverse import Inverse
@@ -64,7 +65,7 @@ class Optimality:
 
 
 @dataclass(frozen=True, eq=False)
-class PoseBound:
+class PoseBound(Record):
     """Lower bounds on the errors of every unbiased estimator of a camera's pose."""
 
     covariance: Array
@@ -152,52 +153,6 @@ class PoseBound:
         semi_axes, directions = self.inverse.ellipsoid(functionals)
         return sigma * semi_axes, directions
 
-    def to_dict(self) -> dict[str, Any]:
-        """The bound as JSON-able values: infinities as the string "inf", not-a-number as None."""
-        return {
-            "frame": self.frame,
-            "twist_order": list(se3.TWIST_ORDER),
-            "units": {
-                "twist": ["scene unit"] * 3 + ["rad"] * 3,
-                "position_std": "scene unit",
-                "rotation_std_deg": "deg",
-                "eigenvalues": "camera frame, translation in units of length_scale",
-                "unobserved.direction": "camera frame, translation in units of length_scale",
-            },
-            "length_scale": self.length_scale,
-            "information": jsonable(self.information.matrix),
-            "information_standard_error": jsonable(self.information.standard_error),
-            "covariance": jsonable(self.covariance),
-            "position_std": jsonable(self.position_std),
-            "position_std_standard_error": jsonable(self.position_std_standard_error),
-            "rotation_std_deg": jsonable(self.rotation_std_deg),
-            "rotation_std_deg_standard_error": jsonable(self.rotation_std_deg_standard_error),
-            "eigenvalues": jsonable(self.eigenvalues),
-            "eigenvalues_standard_error": jsonable(self.eigenvalues_standard_error),
-            "noise_floor": self.noise_floor,
-            "rank": self.rank,
-            "unobserved": [
-                {"direction": jsonable(u.direction), "description": u.description} for u in self.unobserved
-            ],
-            "weakest": self.weakest
-            and {
-                "direction": jsonable(self.weakest.direction),
-                "description": self.weakest.description,
-            },
-            "nuisances": {
-                "how": self.provenance.get("nuisances", {}),
-                "joint": self.joint.to_dict() if self.joint is not None and self.joint.names else None,
-                "if_known": {
-                    name: {
-                        "position_std": jsonable(known.position_std),
-                        "rotation_std_deg": jsonable(known.rotation_std_deg),
-                    }
-                    for name, known in self.if_known.items()
-                },
-            },
-            "optimality": {k: jsonable(v) for k, v in vars(self.optimality).items()},
-        }
-
     def __str__(self) -> str:
         position = _with_errors(_POSITION_NAMES, self.position_std, self.position_std_standard_error)
         rotation = _with_errors(_ROTATION_NAMES, self.rotation_std_deg, self.rotation_std_deg_standard_error)
@@ -240,6 +195,8 @@ def cramer_rao_bound(
     References:
         van Trees, "Detection, Estimation, and Modulation Theory", part I, 1968, sections 2.4.2 and 2.4.3.
     """
+    if prior is not None and not isinstance(prior, FisherInformation | PosePrior):
+        prior = positive_matrix(prior, "the prior's information", OptionError, size=6)
     inverse = Inverse(information, prior)
     position, turn, twist = _position(inverse), _TURN, _twist(inverse, information.frame)
     position_covariance, rotation_covariance = inverse.covariance(position), inverse.covariance(turn)

@@ -23,7 +23,6 @@ assumptions", 1951; Abel, "A bound on mean-square-estimate error", 1993 (both ki
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from .. import se3
 from ..camera import Camera
 from ..errors import OptionError
-from ..files import jsonable
+from ..files import Record
 from ..information.fisher import FisherInformation
 from ..information.identifiability import SMALLEST_SHARE
 from ..se3 import Array
@@ -44,7 +43,7 @@ _SINGULAR = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class HCRBound:
+class HCRBound(Record):
     """Lower bounds on the errors of every estimator that is unbiased at the pose and at displaced ones."""
 
     position_std: Array
@@ -63,18 +62,6 @@ class HCRBound:
     """(m,), their Monte Carlo standard errors."""
     repeats: NDArray[np.bool_]
     """(m,), the displaced images that cannot be told from the image, though the local information could."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Fields as JSON-able values, without the local bound: infinities as "inf", not-a-number as None."""
-        return {
-            "position_std": jsonable(self.position_std),
-            "rotation_std_deg": jsonable(self.rotation_std_deg),
-            "covariance": jsonable(self.covariance),
-            "displacements": jsonable(self.displacements),
-            "squared_distances": jsonable(self.squared_distances),
-            "squared_distances_standard_error": jsonable(self.squared_distances_standard_error),
-            "repeats": self.repeats.tolist(),
-        }
 
     def __str__(self) -> str:
         local = self.cramer_rao

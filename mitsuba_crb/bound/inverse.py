@@ -13,10 +13,11 @@ without the prior, nor the prior's own.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from dataclasses import replace as dataclass_replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from .. import se3
 from ..errors import OptionError
@@ -24,7 +25,7 @@ from ..information.fisher import FisherInformation
 from ..information.identifiability import FLOAT32_FLOOR, Identifiability, identify
 from ..information.significance import refuse_negative
 from ..information.symmetric import congruence, pack, symmetrised
-from ..noise.covariance import nearest_semidefinite, positive_matrix, roots
+from ..noise.covariance import nearest_semidefinite, roots
 from ..se3 import Array
 from .prior import PosePrior
 
@@ -35,15 +36,20 @@ _MULTIPLICITY = pack(2.0 - np.eye(6))
 _SMALLEST_CORRELATION = 1e-13
 
 
+@dataclass(eq=False)
 class Inverse:
     """Variances of linear functionals of the pose, in the camera frame with scaled translation.
 
     hidden: N, what the information does not see; open: the part of it that the prior does not see either.
     """
 
-    def __init__(
-        self, information: FisherInformation, prior: FisherInformation | PosePrior | ArrayLike | None
-    ) -> None:
+    information: FisherInformation
+    """Of the image, in any frame."""
+    prior: FisherInformation | PosePrior | Array | None
+    """What is known beforehand; a matrix is (6, 6) in `information`'s frame."""
+
+    def __post_init__(self) -> None:
+        information, prior = self.information, self.prior
         camera = information.to_frame("camera")
         self.length_scale = camera.length_scale
         self.scale = camera.scale
@@ -120,7 +126,7 @@ class Inverse:
 def _with_prior(
     information: FisherInformation,
     camera: FisherInformation,
-    prior: FisherInformation | PosePrior | ArrayLike,
+    prior: FisherInformation | PosePrior | Array,
 ) -> tuple[FisherInformation, Array]:
     """The sum in the camera frame, and the prior's own scaled positive semi-definite matrix."""
     S = np.diag(camera.scale)
@@ -136,9 +142,8 @@ def _with_prior(
             return total, (found.seen * found.eigenvalues[: found.rank]) @ found.seen.T
         refuse_negative(own, "the prior", OptionError)
         return total, nearest_semidefinite(matrix)
-    given = positive_matrix(prior, "the prior's information", OptionError, size=6)
     A = se3.adjoint(camera.pose) if information.frame == "world" else np.eye(6)
-    own_matrix = A.T @ given @ A
+    own_matrix = A.T @ prior @ A
     P = nearest_semidefinite(symmetrised(S @ own_matrix @ S))
     plain = None if camera.plain_matrix is None else camera.plain_matrix + own_matrix
     return dataclass_replace(camera, matrix=camera.matrix + own_matrix, plain_matrix=plain), P

@@ -20,7 +20,7 @@ from pydantic import Field, PositiveFloat
 
 from .. import se3
 from ..errors import PriorError
-from ..files import Table, checked, expected, read_json, read_toml
+from ..files import Record, Table, checked, expected, read_json, read_toml
 from ..noise.covariance import positive_matrix
 from ..se3 import Array, Frame
 
@@ -45,7 +45,7 @@ class PriorTable(Table):
 
 
 @dataclass(frozen=True, eq=False)
-class PosePrior:
+class PosePrior(Record):
     """Exact information about a pose, in a frame."""
 
     matrix: Array

@@ -89,7 +89,7 @@ def validate(
         check_targets({"--json": json_file, "--plot": plot_file}, inputs, resumed="--json")
 
         from ..estimate.trials import validate as run_trials
-        from ..export.documents import write_json
+        from ..export.documents import validation_document, write_json
         from ..show.trials_table import print_validation
 
         with measuring() as (advance, warned):
@@ -110,7 +110,7 @@ def validate(
             )
         with answered(lambda to: print_validation(to, result, warned)):
             if json_file is not None:
-                write_json(json_file, result.to_dict())
+                write_json(json_file, validation_document(result))
             if plot_file is not None:
                 from ..show.trials_page import write_validation_plot
 

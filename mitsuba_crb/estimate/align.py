@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..bound.cramer_rao import PoseBound, cramer_rao_bound
 from ..errors import AlignmentError, NoiseError, PrecisionWarning
+from ..files import Record
 from ..information.accumulate import as_noise_model
 from ..measure.measurement import measurement
 from ..measure.mitsuba_view import wanted
@@ -35,7 +36,7 @@ _ANCHORS = 3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Alignment:
+class Alignment(Record):
     """Where an image was taken from, as an estimator has it."""
 
     pose: Array

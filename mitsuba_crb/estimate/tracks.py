@@ -34,6 +34,7 @@ from .. import se3
 from ..agents.bundle import FEWEST_POINTS, PointView, point_information
 from ..camera import Camera
 from ..errors import NoiseError, OptionError, PixelsError, PointsError, SensorError
+from ..files import Record
 from ..information.accumulate import InformationAccumulator
 from ..information.fisher import FisherInformation
 from ..information.symmetric import unpack
@@ -61,7 +62,7 @@ _HIDDEN = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class FeatureTracks:
+class FeatureTracks(Record):
     """What one view offers to bundle adjustment, beside what all pixels of its image offer."""
 
     points: Array

@@ -16,6 +16,7 @@ import numpy as np
 
 from .. import se3
 from ..errors import OutOfViewError
+from ..files import Record
 from ..measure.mitsuba_view import wanted
 from ..measure.options import MeasurementKeywords, MeasurementOptions
 from ..noise import Gaussian
@@ -28,7 +29,7 @@ from .optimisers import Status
 
 
 @dataclasses.dataclass(frozen=True)
-class Trial:
+class Trial(Record):
     """How one trial ended."""
 
     index: int

@@ -20,7 +20,7 @@ from .trial import Trial
 SCHEMA = "mitsuba-crb/validate/1"
 
 
-class Record(NamedTuple):
+class EarlierRun(NamedTuple):
     """An earlier run."""
 
     file: Path
@@ -31,7 +31,7 @@ class Record(NamedTuple):
     """As they ended."""
 
 
-def recorded(file: Path | None) -> Record | None:
+def recorded(file: Path | None) -> EarlierRun | None:
     """What an earlier run has left; None if there was none.
 
     Raises:
@@ -43,7 +43,7 @@ def recorded(file: Path | None) -> Record | None:
         document = read_json(file, ValueError)
         schema, settings, results = (document[key] for key in ("schema", "settings", "results"))
         if schema == SCHEMA:
-            return Record(file, dict(settings), [_read_trial(**result) for result in results])
+            return EarlierRun(file, dict(settings), [_read_trial(**result) for result in results])
     except (ArithmeticError, KeyError, TypeError, ValueError) as error:
         raise TrialError(f"{file} exists and is no record of trials ({error}); name another file") from error
     raise TrialError(f"{file} has the schema {schema!r}, not {SCHEMA!r}; name another file")
@@ -58,7 +58,7 @@ def _read_trial(
     return Trial(int(index), status, twist, float(residual), int(iterations), float(excess), int(invalid))
 
 
-def resumed(record: Record | None, settings: dict[str, Any]) -> dict[int, Trial]:
+def resumed(record: EarlierRun | None, settings: dict[str, Any]) -> dict[int, Trial]:
     """The trials of an earlier run with the same settings by their numbers, all of them.
 
     Raises:

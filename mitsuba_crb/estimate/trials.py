@@ -25,6 +25,7 @@ from .. import se3
 from ..bound.consistency import Consistency, consistency
 from ..bound.cramer_rao import PoseBound, cramer_rao_bound
 from ..errors import PrecisionWarning, TrialError
+from ..files import Record
 from ..information.accumulate import fisher_information
 from ..information.image_jacobian import ImageJacobian
 from ..information.subset import selected
@@ -41,7 +42,7 @@ from ..render.scene import SceneFile, as_scene
 from ..se3 import Array
 from .misfit import Anchor
 from .trial import Setup, Trial, run_trials
-from .trial_record import SCHEMA, recorded, resumed, write_record
+from .trial_record import recorded, resumed, write_record
 
 _MEASURED = ("sensor", "method", "seed", "batches", "size", "drop_invalid", "step_pixels", "versions")
 """What of the settings the expected image's provenance says."""
@@ -56,7 +57,7 @@ Progress = Callable[[int, int], None]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Validation:
+class Validation(Record):
     """All trials and what they say of the bound."""
 
     settings: dict[str, Any]
@@ -97,25 +98,6 @@ class Validation:
     def efficiency(self) -> float:
         """6 / NEES: 1 for an estimator that attains the bound."""
         return 6.0 / self.consistency.nees
-
-    def to_dict(self) -> dict[str, Any]:
-        """As JSON-able values."""
-        found = self.consistency.to_dict()
-        return {
-            "schema": SCHEMA,
-            "settings": self.settings,
-            "trials": len(self.trials),
-            "converged": len(self.trials) - len(self.failed),
-            "failed": list(self.failed),
-            **{name: found[name] for name in found if name != "count"},
-            "efficiency": self.efficiency,
-            "excess": self.excess,
-            "rmse_position": self.rmse_position,
-            "rmse_rotation_deg": self.rmse_rotation_deg,
-            "bound_position": self.bound_position,
-            "bound_rotation_deg": self.bound_rotation_deg,
-            "results": [dataclasses.asdict(trial) for trial in (*self.trials, *self.further)],
-        }
 
 
 def validate(

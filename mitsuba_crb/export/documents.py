@@ -14,12 +14,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..files import atomic, jsonable
+from ..se3 import TWIST_ORDER
 
 if TYPE_CHECKING:
     from ..agents.selection import TileSelection
     from ..agents.team import Team
     from ..bound.cramer_rao import PoseBound
     from ..bound.hcr import HCRBound
+    from ..estimate.trials import Validation
+    from ..information.joint import JointInformation
     from ..measure.teams import TeamFusion, TeamSelection
 
 SCHEMA = "mitsuba-crb/bound/1"
@@ -41,36 +44,24 @@ _PROVENANCE_KEYS = (
     "noise",
     "prior",
 )
-_BOUND_KEYS = (
-    "frame",
-    "twist_order",
-    "units",
-    "length_scale",
-    "information",
-    "information_standard_error",
-    "covariance",
-    "position_std",
-    "position_std_standard_error",
-    "rotation_std_deg",
-    "rotation_std_deg_standard_error",
-    "eigenvalues",
-    "eigenvalues_standard_error",
-    "rank",
-    "unobserved",
-    "weakest",
-    "optimality",
-)
 
 
 def bound_document(bound: PoseBound, hcr: HCRBound | None = None) -> dict[str, Any]:
     """The bound, its provenance and the one beyond it as strict JSON: infinity is "inf", no number None."""
-    values, provenance = bound.to_dict(), bound.provenance
+    provenance = bound.provenance
     document = {
         "schema": SCHEMA,
         **{key: provenance.get(key) for key in _PROVENANCE_KEYS},
         "pose": bound.information.pose,
-        **{key: values[key] for key in _BOUND_KEYS},
-        "nuisances": values["nuisances"],
+        **_bound(bound),
+        "nuisances": {
+            "how": provenance.get("nuisances", {}),
+            "joint": _joint(bound.joint) if bound.joint is not None and bound.joint.names else None,
+            "if_known": {
+                name: {"position_std": known.position_std, "rotation_std_deg": known.rotation_std_deg}
+                for name, known in bound.if_known.items()
+            },
+        },
         "noise_inflation": provenance.get("noise_inflation"),
         "finite_differences": provenance.get("finite_differences"),
         "warnings": provenance.get("warnings", []),
@@ -78,24 +69,36 @@ def bound_document(bound: PoseBound, hcr: HCRBound | None = None) -> dict[str, A
         "seconds": provenance.get("seconds", {}),
     }
     if hcr is not None:
-        document["hcr"] = hcr.to_dict()
+        document["hcr"] = {
+            "position_std": hcr.position_std,
+            "rotation_std_deg": hcr.rotation_std_deg,
+            "covariance": hcr.covariance,
+            "displacements": hcr.displacements,
+            "squared_distances": hcr.squared_distances,
+            "squared_distances_standard_error": hcr.squared_distances_standard_error,
+            "repeats": hcr.repeats,
+        }
     plain: dict[str, Any] = jsonable(document)
     return plain
 
 
 def fusion_document(team: Team, result: TeamFusion) -> dict[str, Any]:
     """A team's joint bound, each agent's share and how it was measured, as strict JSON."""
-    values = result.fusion.to_dict()
     agents = [
-        {**share, **{key: bound.provenance.get(key) for key in (*_PROVENANCE_KEYS, "warnings")}}
-        for share, bound in zip(values["agents"], result.bounds, strict=True)
+        {
+            "name": agent.name,
+            "rank": agent.rank,
+            "share": agent.share,
+            **{key: bound.provenance.get(key) for key in (*_PROVENANCE_KEYS, "warnings")},
+        }
+        for agent, bound in zip(result.fusion.agents, result.bounds, strict=True)
     ]
     document = {
         "schema": FUSE_SCHEMA,
         "config": team.path,
         "body": team.body,
         "pose": result.fusion.information.pose,
-        **{key: values[key] for key in _BOUND_KEYS},
+        **_bound(result.fusion.bound),
         "agents": agents,
         "warnings": result.warnings,
         "versions": result.bounds[0].provenance.get("versions", {}),
@@ -106,26 +109,113 @@ def fusion_document(team: Team, result: TeamFusion) -> dict[str, Any]:
 
 def selection_document(team: Team, result: TeamSelection) -> dict[str, Any]:
     """A team's chosen tiles, their worth, bounds and other budgets, as strict JSON."""
+    selection = result.selection
     document = {
         "schema": SELECT_SCHEMA,
         "config": team.path,
         "body": team.body,
         "length_scale": result.agents[0].length_scale,
-        **result.selection.to_dict(),
+        "objective": selection.objective,
+        "chosen": [vars(chosen) for chosen in selection.chosen],
+        "value": selection.value,
+        "value_heldout": selection.value_heldout,
+        "value_empty": selection.value_empty,
+        "upper_bound": selection.upper_bound,
+        "certificate": selection.certificate,
+        "guarantee": selection.guarantee,
+        "baselines": _baselines(selection),
+        "total_bytes": selection.total_bytes,
+        "evaluations": selection.evaluations,
         "agents": [
             {"name": agent.agent, "tiles": agent.tiles, "cost_bytes": agent.cost_bytes}
             for agent in result.agents
         ],
-        "curve": [{result.counts: budget, **_worth(other)} for budget, other in result.curve],
+        "curve": [
+            {
+                result.counts: budget,
+                "value": other.value,
+                "value_heldout": other.value_heldout,
+                "upper_bound": other.upper_bound,
+                "baselines": _baselines(other),
+            }
+            for budget, other in result.curve
+        ],
         "warnings": result.warnings,
     }
     plain: dict[str, Any] = jsonable(document)
     return plain
 
 
-def _worth(selection: TileSelection) -> dict[str, Any]:
-    values = selection.to_dict()
-    return {key: values[key] for key in ("value", "value_heldout", "upper_bound", "baselines")}
+def validation_document(result: Validation) -> dict[str, Any]:
+    """Trials and what they say of the bound as strict JSON; `validate` resumes from it."""
+    from ..estimate.trial_record import SCHEMA  # is loaded with the result; other documents need no Mitsuba
+
+    found = result.consistency
+    document = {
+        "schema": SCHEMA,
+        "settings": result.settings,
+        "trials": len(result.trials),
+        "converged": len(result.trials) - len(result.failed),
+        "failed": result.failed,
+        "nees": found.nees,
+        "nees_band": found.nees_band,
+        "generalized_eigenvalues": found.generalized_eigenvalues,
+        "directions": found.directions,
+        "wishart_band": found.wishart_band,
+        "coverage": [vars(coverage) for coverage in found.coverage],
+        "bias": found.bias,
+        "consistent": found.consistent,
+        "efficiency": result.efficiency,
+        "excess": result.excess,
+        "rmse_position": result.rmse_position,
+        "rmse_rotation_deg": result.rmse_rotation_deg,
+        "bound_position": result.bound_position,
+        "bound_rotation_deg": result.bound_rotation_deg,
+        "results": [vars(trial) for trial in (*result.trials, *result.further)],
+    }
+    plain: dict[str, Any] = jsonable(document)
+    return plain
+
+
+def _bound(bound: PoseBound) -> dict[str, Any]:
+    return {
+        "frame": bound.frame,
+        "twist_order": TWIST_ORDER,
+        "units": {
+            "twist": ["scene unit"] * 3 + ["rad"] * 3,
+            "position_std": "scene unit",
+            "rotation_std_deg": "deg",
+            "eigenvalues": "camera frame, translation in units of length_scale",
+            "unobserved.direction": "camera frame, translation in units of length_scale",
+        },
+        "length_scale": bound.length_scale,
+        "information": bound.information.matrix,
+        "information_standard_error": bound.information.standard_error,
+        "covariance": bound.covariance,
+        "position_std": bound.position_std,
+        "position_std_standard_error": bound.position_std_standard_error,
+        "rotation_std_deg": bound.rotation_std_deg,
+        "rotation_std_deg_standard_error": bound.rotation_std_deg_standard_error,
+        "eigenvalues": bound.eigenvalues,
+        "eigenvalues_standard_error": bound.eigenvalues_standard_error,
+        "rank": bound.rank,
+        "unobserved": [vars(direction) for direction in bound.unobserved],
+        "weakest": None if bound.weakest is None else vars(bound.weakest),
+        "optimality": vars(bound.optimality),
+    }
+
+
+def _joint(joint: JointInformation) -> dict[str, Any]:
+    return {
+        "parameters": joint.parameters,
+        "per_tile": joint.per_tile,
+        "matrix": joint.matrix,
+        "treatment": joint.treatment,
+    }
+
+
+def _baselines(selection: TileSelection) -> dict[str, Any]:
+    return {name: vars(baseline) for name, baseline in selection.baselines.items()}
 
 
 def write_json(path: Path, document: Mapping[str, Any]) -> None:

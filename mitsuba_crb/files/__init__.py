@@ -1,4 +1,4 @@
-"""Files: read whole or refused in one line; written whole or not there."""
+"""Files: read whole or refused in one line; written whole or not there; results as documents and back."""
 
 from .reading import read_array as read_array
 from .reading import read_grey as read_grey
@@ -7,6 +7,7 @@ from .reading import read_rows as read_rows
 from .reading import read_sparse as read_sparse
 from .reading import read_text as read_text
 from .reading import read_toml as read_toml
+from .records import Record as Record
 from .schema import Table as Table
 from .schema import checked as checked
 from .schema import expected as expected

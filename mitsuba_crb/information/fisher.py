@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from dataclasses import replace as dataclass_replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -121,16 +120,3 @@ class FisherInformation(Linearised):
             plain_matrix=plain,
             linearisation=self.linearisation.with_pixels_of(other.linearisation),
         )
-
-    def to_dict(self) -> dict[str, Any]:
-        """All fields as JSON-able values."""
-        return {
-            "matrix": self.matrix.tolist(),
-            "covariance_of_entries": self.covariance_of_entries.tolist(),
-            "frame": self.frame,
-            "variable": self.variable,
-            "pose": self.pose.tolist(),
-            "length_scale": self.length_scale,
-            "selection": vars(self.selection).copy(),
-            "plain_matrix": None if self.plain_matrix is None else self.plain_matrix.tolist(),
-        }

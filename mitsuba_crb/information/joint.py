@@ -128,15 +128,6 @@ class JointInformation(Linearised):
         seen = {name for k, name in enumerate(self.parameters, start=6) if _seen(sums, one[k], k)}
         return tuple(name for name in dict.fromkeys(self.parameters) if name not in seen)
 
-    def to_dict(self) -> dict[str, Any]:
-        """The joint information as JSON-able values."""
-        return {
-            "parameters": list(self.parameters),
-            "per_tile": list(self.per_tile),
-            "matrix": self.matrix.tolist(),
-            "treatment": dict(self.treatment),
-        }
-
     def _treat(self, names: tuple[str, ...], how: Literal["marginalized", "fixed"]) -> JointInformation:
         self._check(names)
         chosen = names or [name for name in self.names if name not in self.treatment]

@@ -14,13 +14,14 @@ import numpy as np
 
 from .. import se3
 from ..errors import FrameError
+from ..files import Record
 from ..se3 import Array, Frame
 
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
-class PixelSelection:
+class PixelSelection(Record):
     """Which pixels were measured, and what that means for the information."""
 
     kind: Literal["all", "random", "only"]
@@ -51,7 +52,7 @@ class PixelSelection:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Linearisation:
+class Linearisation(Record):
     """The pose that something is differentiated at, and all that its numbers need to be read.
 
     Raises:
@@ -125,7 +126,7 @@ class Linearisation:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Linearised:
+class Linearised(Record):
     """Numbers that know what they are about, and can be asked for it."""
 
     linearisation: Linearisation

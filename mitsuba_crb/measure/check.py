@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError
+from ..files import Record
 from ..information.accumulate import fisher_information
 from ..information.fisher import FisherInformation
 from ..information.image_jacobian import ImageJacobian
@@ -41,7 +42,7 @@ _SIGMAS = 3.0
 
 
 @dataclasses.dataclass(frozen=True)
-class MethodCheck:
+class MethodCheck(Record):
     """One method beside finite differences."""
 
     method: str
@@ -60,7 +61,7 @@ class MethodCheck:
 
 
 @dataclasses.dataclass(frozen=True)
-class JacobianCheck:
+class JacobianCheck(Record):
     """Methods beside finite differences on one view, and what follows."""
 
     rows: tuple[MethodCheck, ...]

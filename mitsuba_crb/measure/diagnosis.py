@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from ..errors import LLVMError
+from ..files import Record
 from ..processes import cores
 from ..render import llvm
 from ..render.backend import VARIANTS, use_mitsuba
@@ -37,7 +38,7 @@ class Row(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(Record):
     """What `mitsuba-crb doctor` found."""
 
     rows: tuple[Row, ...]

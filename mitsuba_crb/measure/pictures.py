@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import se3
-from ..information.identifiability import weakest_direction
+from ..files import Record
+from ..information.identifiability import PoseDirection, weakest_direction
 from ..information.pixel_information import along, pixel_information
 from ..information.significance import identified
 from ..information.symmetric import pack
@@ -17,13 +18,12 @@ from ..noise import Gaussian, Luminance
 
 if TYPE_CHECKING:
     from ..information.fisher import FisherInformation
-    from ..information.identifiability import PoseDirection
     from ..information.image_jacobian import ImageJacobian
     from ..noise import IndependentNoise
 
 
 @dataclass(frozen=True)
-class Pictures:
+class Pictures(Record):
     """The image, its Jacobian and its information density; NaN where a pixel was not measured."""
 
     image: npt.NDArray[np.float32]

@@ -17,6 +17,7 @@ from ..bound.cramer_rao import PoseBound
 from ..bound.hcr import HCRBound
 from ..bound.prior import load_prior
 from ..errors import OptionError
+from ..files import Record
 from ..noise import CoupledNoise, NoiseModel
 from ..render.scene import SceneFile, as_scene
 from ..se3 import Frame
@@ -29,7 +30,7 @@ from .tile_jacobian import TileJacobian
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class BoundReport:
+class BoundReport(Record):
     """A bound and what was asked beside it."""
 
     bound: PoseBound

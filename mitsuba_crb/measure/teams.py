@@ -22,6 +22,7 @@ from ..agents.team import Member, Team
 from ..agents.tiles import Budget, TileInformation, about_common_body
 from ..bound.cramer_rao import PoseBound
 from ..errors import MitsubaCRBError
+from ..files import Record
 from ..processes import in_processes
 from ..render.backend import same_variant
 from ..render.scene import SceneFile
@@ -49,7 +50,7 @@ class Job:
 
 
 @dataclass(frozen=True, eq=False)
-class TeamFusion:
+class TeamFusion(Record):
     """What a team knows together, and what each agent knows alone."""
 
     fusion: Fusion
@@ -61,7 +62,7 @@ class TeamFusion:
 
 
 @dataclass(frozen=True, eq=False)
-class TeamSelection:
+class TeamSelection(Record):
     """Which tiles a team should send."""
 
     selection: TileSelection

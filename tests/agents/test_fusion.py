@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
@@ -264,12 +263,9 @@ class TestShares:
         nothing = fuse([Agent("blind", made(np.zeros((6, 6)), pose=pose), pose)])
         assert (nothing.bound.rank, nothing.agents[0].share) == (0, 0.0)
 
-    def test_as_json_and_as_text(self):
+    def test_as_text(self):
         fusion = fuse(Rig(13).agents)
-        data = json.loads(json.dumps(fusion.to_dict()))
-        assert data["rank"] == 6
-        assert np.shape(data["information"]) == np.shape(data["covariance"]) == (6, 6)
-        assert [sorted(agent) for agent in data["agents"]] == [["name", "rank", "share"]] * 4
+        assert str(fusion).startswith(str(fusion.bound))
         assert "b: rank 6, share" in str(fusion)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
 
 import numpy as np
@@ -391,8 +390,6 @@ def test_a_selection_reports_its_tiles_values_bound_and_baselines():
     assert 0.95 < selection.certificate <= 1.0
     assert set(selection.baselines) == {"random", "equal_split", "top_trace"}
     assert all(base.value <= selection.upper_bound for base in selection.baselines.values())
-    written = json.loads(json.dumps(selection.to_dict(), allow_nan=False))
-    assert written["chosen"][0] == {"agent": selection.chosen[0].agent, "tile": selection.chosen[0].tile}
     text = str(selection)
     assert f"{selection.value:.4g} on the half chosen by" in text
     assert f"{selection.value_heldout:.4g} held out" in text

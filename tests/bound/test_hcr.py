@@ -234,5 +234,5 @@ def test_bad_input_is_named(displacements, inner, cross, words):
 
 def test_it_is_json_and_prints():
     found = _bound(PERIODIC, np.array([[1.0, 0, 0, 0, 0, 0]]), 0.5, floor=1e-20)
-    assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["position_std"] == ["inf"] * 3
+    assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["position_std"]["values"] == ["inf"] * 3
     assert "1 of 1 displaced images repeat the image" in str(found)

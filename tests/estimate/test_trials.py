@@ -20,6 +20,7 @@ from mitsuba_crb.estimate import trial, trials
 from mitsuba_crb.estimate.align import align
 from mitsuba_crb.estimate.trial_record import SCHEMA
 from mitsuba_crb.estimate.trials import validate
+from mitsuba_crb.export.documents import validation_document
 from mitsuba_crb.measure import measurement as measure
 
 OPTIONS: dict[str, Any] = {"size": (16, 12), "spp": 32, "sigma": 0.005, "perturb_deg": 0.2, "seed": 5}
@@ -37,7 +38,7 @@ def test_gauss_newton_attains_the_bound_and_another_sigma_is_found_out(tmp_path:
     assert [t.error for t in other.trials] == [t.error for t in found.trials]
     assert not other.consistency.consistent
     assert other.consistency.nees == pytest.approx(4.0 * found.consistency.nees)
-    document = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    document = json.loads(json.dumps(validation_document(found), allow_nan=False))
     assert document["schema"] == SCHEMA
     assert {"nees_band", "generalized_eigenvalues", "wishart_band", "coverage"} <= document.keys()
 
@@ -86,9 +87,9 @@ def test_a_smaller_number_of_trials_loses_none(tmp_path: Path) -> None:
     assert few.trials == many.trials[:8]
     assert few.further == many.trials[8:]
     assert few.consistency.count == 8
-    assert [result["index"] for result in few.to_dict()["results"]] == list(range(10))
+    assert [result["index"] for result in validation_document(few)["results"]] == list(range(10))
     # As the command does at its end; a longer run then computes what is missing and nothing else.
-    file.write_text(json.dumps(few.to_dict()))
+    file.write_text(json.dumps(validation_document(few)))
     calls: list[tuple[int, int]] = []
     options = OPTIONS | {"on_trial": lambda done, total: calls.append((done, total))}
     again = validate(textured_wall(), trials=10, resume=file, **options)
@@ -286,7 +287,7 @@ def test_a_start_that_sees_nothing_is_a_failed_trial(monkeypatch: pytest.MonkeyP
     assert seen == [1] * 8
     assert found.failed == (2,)
     assert found.trials[2].status == "diverged"
-    json.dumps(found.to_dict(), allow_nan=False)
+    json.dumps(validation_document(found), allow_nan=False)
 
 
 @pytest.mark.parametrize(

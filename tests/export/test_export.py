@@ -108,7 +108,7 @@ def test_document_writes_the_unseen_as_inf_and_null(blind, tmp_path):
 def test_document_in_the_world_frame_turns_matrices_only(view):
     camera = synthetic_view.bound(view)
     world = cramer_rao_bound(camera.information.to_frame("world"))
-    a, b = camera.to_dict(), world.to_dict()
+    a, b = bound_document(camera), bound_document(world)
     for key in ("position_std", "rotation_std_deg", "position_std_standard_error"):
         np.testing.assert_allclose(a[key], b[key], rtol=1e-9)
     assert b["frame"] == "world"

@@ -720,7 +720,12 @@ class TestFisherInformation:
 
     def test_it_can_be_written_as_json_and_not_be_changed(self):
         information = _made(np.eye(6), plain_matrix=np.eye(6))
-        assert json.loads(json.dumps(information.to_dict(), allow_nan=False))["selection"]["kind"] == "all"
+        assert (
+            json.loads(json.dumps(information.to_dict(), allow_nan=False))["linearisation"]["selection"][
+                "kind"
+            ]
+            == "all"
+        )
         with pytest.raises(ValueError, match="read-only"):
             information.matrix[0, 0] = 2.0
 

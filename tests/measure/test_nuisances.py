@@ -21,6 +21,7 @@ from small_scenes import T, camera, scene, texture, wall
 from mitsuba_crb import pose_bound, pose_jacobian
 from mitsuba_crb.bound.cramer_rao import ALL_NUISANCES
 from mitsuba_crb.errors import NuisanceError, NuisanceWarning, OptionError
+from mitsuba_crb.export.documents import bound_document
 from mitsuba_crb.information.joint import joint_information
 from mitsuba_crb.jacobian import flow, forward
 from mitsuba_crb.jacobian.method import Paths
@@ -225,7 +226,7 @@ class TestCost:
         assert set(three.if_known) == {"gain", "black:16", "fov", ALL_NUISANCES}
         known = three.if_known[ALL_NUISANCES]
         np.testing.assert_allclose(known.position_std, plain.position_std, rtol=1e-6)
-        written = three.to_dict()["nuisances"]
+        written = bound_document(three)["nuisances"]
         assert written["how"] == {"gain": "the image itself", "black:16": "exact", "fov": "filter term"}
         assert written["joint"]["parameters"] == ["gain", "fov"]
 

@@ -1,0 +1,239 @@
+"""Results of every class, small, with what is hard to write: infinities, empty arrays, frames, priors."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import synthetic_view
+from rigs import about, definite, made, noisy, random_pose
+
+from mitsuba_crb import message, se3
+from mitsuba_crb.agents.bundle import PointView, joint_point_information, point_information
+from mitsuba_crb.agents.covariance_intersection import covariance_intersection
+from mitsuba_crb.agents.fusion import Agent, fuse
+from mitsuba_crb.agents.information_filter import InformationFilter
+from mitsuba_crb.agents.pose_graph import PoseGraph, RelativePose
+from mitsuba_crb.agents.selection import select_tiles
+from mitsuba_crb.agents.shared_nuisance import map_error
+from mitsuba_crb.agents.tiles import Budget, TileInformation
+from mitsuba_crb.bound.consistency import consistency
+from mitsuba_crb.bound.coordinates import to_coordinates
+from mitsuba_crb.bound.cramer_rao import PoseBound, cramer_rao_bound, joint_bound
+from mitsuba_crb.bound.hcr import hammersley_chapman_robbins
+from mitsuba_crb.bound.prior import prior_from_dict
+from mitsuba_crb.camera import Camera
+from mitsuba_crb.errors import PrecisionWarning
+from mitsuba_crb.estimate.align import Alignment
+from mitsuba_crb.estimate.tracks import FeatureTracks
+from mitsuba_crb.estimate.trial import Trial
+from mitsuba_crb.estimate.trials import Validation
+from mitsuba_crb.files import Record
+from mitsuba_crb.information.accumulate import Sums
+from mitsuba_crb.information.fisher import FisherInformation
+from mitsuba_crb.information.image_jacobian import ImageJacobian
+from mitsuba_crb.information.joint import JointInformation, joint_information
+from mitsuba_crb.information.linearisation import PixelSelection
+from mitsuba_crb.information.significance import no_information
+from mitsuba_crb.measure.check import JacobianCheck, MethodCheck
+from mitsuba_crb.measure.diagnosis import Diagnosis, Row
+from mitsuba_crb.measure.pictures import pictures_of
+from mitsuba_crb.measure.report import BoundReport
+from mitsuba_crb.measure.teams import TeamFusion, TeamSelection
+from mitsuba_crb.noise import Gaussian
+
+
+def samples() -> Iterator[Record]:
+    """Some of each class; the kinds of one class that are written differently, too."""
+    for made_of in (_informations, _jacobians, _bounds, _agents, _messages, _trials, _findings):
+        rng = np.random.default_rng(sum(made_of.__name__.encode()))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PrecisionWarning)
+            yield from made_of(rng)
+
+
+def information(rng: np.random.Generator, *, rank: int = 6, **changes: Any) -> FisherInformation:
+    """An uncertain one, far from the world's origin."""
+    matrix, covariance = noisy(rng, definite(rng, rank), error=1e-3)
+    about_what = {"variable": "body", "pose": random_pose(rng, origin=1e5), "length_scale": np.pi} | changes
+    return made(matrix, covariance, 1.01 * matrix, **about_what)
+
+
+def _informations(rng: np.random.Generator) -> Iterator[Record]:
+    found = information(rng)
+    yield found
+    yield found.to_frame("world")
+    yield made(np.eye(6), frame="world")
+    yield dataclasses.replace(found, plain_matrix=None)
+    yield found.linearisation
+    yield PixelSelection("random", 100, 10, "random:0.1")
+
+
+def with_nuisances(rng: np.random.Generator) -> ImageJacobian:
+    """Of a view whose gain and black level are unknown."""
+    view = synthetic_view.jacobian(16, 12)
+    shape = (*view.batch_values.shape[:-1], 2)
+    more = rng.normal(size=shape[1:]) + 0.1 * rng.normal(size=shape)
+    return dataclasses.replace(
+        view,
+        batch_values=np.concatenate([view.batch_values, more], axis=-1),
+        parameters=("gain", "black"),
+        provenance={
+            "scene": "inf",
+            "defines": {"type": "nan", "x": "-inf"},
+            "noise_inflation": np.inf,
+            "variance": np.array([[1.5, np.nan]], dtype=np.float32),
+            "by number": {0: None, 1: [True, {}]},
+        },
+    )
+
+
+def _jacobians(rng: np.random.Generator) -> Iterator[Record]:
+    view = synthetic_view.jacobian(8, 10, fraction=0.5, kind="random")
+    yield view
+    yield view.to_frame("world")
+    yield view.only(np.zeros((8, 10), dtype=bool))
+    single = np.asarray(view.batch_values, dtype=np.float32)
+    yield dataclasses.replace(view, batch_values=single, pixels=view.pixels.astype(np.uint16))
+    joint = joint_information(with_nuisances(rng), Gaussian(0.1))
+    yield with_nuisances(rng)
+    yield joint
+    yield per_tile(rng).marginalize("gain").fix("black:8")
+    yield pictures_of(view, information(rng))
+
+
+def per_tile(rng: np.random.Generator) -> JointInformation:
+    """With a nuisance that has a value in every tile."""
+    F = {count: rng.normal(size=(count, count)) for count in (7, 28)}
+    sums = Sums(F[7] @ F[7].T, F[28] @ F[28].T, F[7] @ F[7].T)
+    per = {frozenset(): sums, frozenset({"black:8"}): sums, frozenset({"black:8", "type"}): sums}
+    return JointInformation(sums=per, parameters=("gain",), per_tile=("black:8",), linearisation=about())
+
+
+def bounds(rng: np.random.Generator) -> dict[str, PoseBound]:
+    """In both frames, with every kind of prior, of what is unseen, and among nuisances."""
+    found, near = information(rng), information(rng, pose=random_pose(rng))
+    stds = prior_from_dict({"frame": "world", "position_std": 0.1})
+    joint = joint_information(with_nuisances(rng), Gaussian(0.1)).marginalize()
+    return {
+        "plain": cramer_rao_bound(found),
+        "world": cramer_rao_bound(found).to_frame("world"),
+        "of a world information": cramer_rao_bound(found.to_frame("world")),
+        "rank 4": cramer_rao_bound(information(rng, rank=4)),
+        "nothing": cramer_rao_bound(no_information(variable="body", pose=np.eye(4))),
+        "prior file": cramer_rao_bound(found, prior=stds),
+        "prior matrix": cramer_rao_bound(near.to_frame("world"), prior=np.diag([10.0, 0, 0, 0, 0, 0])),
+        "prior information": cramer_rao_bound(found, prior=dataclasses.replace(found, matrix=np.eye(6))),
+        "nuisances": joint_bound(joint, prior=stds),
+    }
+
+
+def _bounds(rng: np.random.Generator) -> Iterator[Record]:
+    found = bounds(rng)
+    yield from found.values()
+    yield from (to_coordinates(bound, "centre_rotation") for bound in found.values())
+    twists = 1e-3 * rng.normal(size=(3, 6))
+    hcr = hammersley_chapman_robbins(found["rank 4"].information, twists, np.eye(3), rng.normal(size=(3, 6)))
+    yield hcr
+    yield consistency(rng.normal(size=(9, 6)), found["world"].information)
+    yield prior_from_dict({"frame": "world", "position_std": 0.1})
+    yield prior_from_dict({"frame": "camera", "covariance": np.linalg.inv(definite(rng)).tolist()})
+    yield BoundReport(found["world"], None, None)
+    yield BoundReport(found["plain"], hcr, pictures_of(synthetic_view.jacobian(8, 10), information(rng)))
+
+
+def _agents(rng: np.random.Generator) -> Iterator[Record]:
+    pose, names = random_pose(rng), ("inf", "type")
+    agents = [Agent(name, information(rng, pose=pose), np.eye(4)) for name in names]
+    yield agents[0]
+    fusion = fuse(agents)
+    yield fusion
+    yield fusion.agents[0]
+    blocks = np.array([definite(rng) for _ in range(4)])
+    tiles = [
+        TileInformation(
+            agent=name,
+            tiles=np.tile([0, 0, 8, 8], (4, 1)),
+            select=blocks,
+            report=-blocks,
+            cost_bytes=np.full(4, 100),
+            linearisation=about(variable="body"),
+        )
+        for name in names
+    ]
+    yield tiles[0]
+    budget = Budget(tiles=3, tiles_per_agent={"type": 2, "inf": 1}, bytes_per_agent=300)
+    selection = select_tiles(tiles, budget)
+    assert selection.value_heldout == -np.inf
+    yield Budget()
+    yield budget
+    yield selection
+    yield TeamFusion(fusion, (fusion.bound,), ("one thing",))
+    image = rng.random((4, 5, 3), dtype=np.float32)
+    yield TeamSelection(selection, ((1, selection), (3, selection)), "tiles", tuple(tiles), (image,), ())
+    common = [agent.information for agent in agents]
+    yield covariance_intersection(common)
+    poses = [information(rng, variable=name) for name in "ab"]
+    link = RelativePose("a", "b", definite(rng, 3))
+    yield link
+    yield PoseGraph(poses, [link]).gauges[0]
+    yield map_error("map", poses, np.diag([1.0, 0, 0, 0, 0, 0]), world_from_map=pose)
+    camera = Camera.pinhole((500.0, 510.0), (320.0, 240.0), (640, 480))
+    points = np.array([[0.1, 0.2, 4.0], [1.0, -0.5, 5.0], [-0.7, 0.3, 6.0], [0.4, -0.9, 4.5]])
+    view = PointView("left", se3.exp([0.1, 0, 0, 0, 0.02, 0]), camera, 0.5)
+    yield view
+    some = dataclasses.replace(
+        view, variable="right", noise=np.array([0.5, 1.0, 2.0]), seen=np.array([0, 2, 3])
+    )
+    yield some
+    yield joint_point_information(points, [view, some])
+    yield FeatureTracks(
+        points, points[:, :2], np.zeros((4, 2), dtype=np.int64), np.eye(4, dtype=bool), view,
+        point_information(points, view),
+    )  # fmt: skip
+
+
+def _messages(rng: np.random.Generator) -> Iterator[Record]:
+    found = information(rng)
+    receiver = InformationFilter(no_information(variable="body", pose=found.pose))
+    whole = message.encode(found.to_frame("world"), agent="a", sequence=1, tile=(0, 0, 8, 8))
+    base = message.decode(whole)
+    yield base
+    yield message.decode(message.encode(found, agent="b", sequence=2, form="sketch", rank=2))
+    more = dataclasses.replace(found, matrix=1.1 * found.matrix)
+    receiver.receive(whole)
+    yield receiver.receive(message.encode(more, agent="a", sequence=2, tile=(0, 0, 8, 8), base=base))
+    yield from receiver.contributions
+
+
+def _trials(rng: np.random.Generator) -> Iterator[Record]:
+    bound = cramer_rao_bound(information(rng))
+    errors = 1e-3 * rng.normal(size=(8, 6))
+    trials = tuple(Trial(k, "converged", tuple(e), 1.0, 5, 0.1, 0) for k, e in enumerate(errors.tolist()))
+    lost = Trial(8, "diverged", (np.nan,) * 6, np.inf, 1, np.nan, 3)
+    yield lost
+    yield Validation(
+        settings={"sigma": 0.01, "size": [4, 5], "defines": {}},
+        trials=(*trials, lost),
+        failed=(8,),
+        bound=bound,
+        consistency=consistency(errors, bound.information),
+        rmse_position=0.1,
+        rmse_rotation_deg=0.2,
+        bound_position=0.3,
+        bound_rotation_deg=np.inf,
+        excess=0.1,
+        further=(dataclasses.replace(lost, index=9),),
+    )
+    yield Alignment(bound.information.pose, "out of iterations", 1.0, 30, bound, 0.1, 0, 2)
+
+
+def _findings(rng: np.random.Generator) -> Iterator[Record]:
+    numbers = np.array([1.0, np.nan, 0.1 + 0.2, -0.0, np.inf, 5e-324])
+    row = MethodCheck("flow", numbers, numbers, numbers, numbers, numbers, numbers > 1.0)
+    yield row
+    yield JacobianCheck((row, row), np.inf, rng.normal(size=6))
+    yield Diagnosis((Row("Python", "3.11", True), Row("LLVM", "none", False)))
