@@ -18,9 +18,9 @@ from mitsuba_crb.bound.consistency import Consistency, consistency
 from mitsuba_crb.errors import BlindSpotWarning, OptionError, OutOfViewError, RadianceError, TrialError
 from mitsuba_crb.estimate import trial, trials
 from mitsuba_crb.estimate.align import align
-from mitsuba_crb.estimate.trial_record import SCHEMA
+from mitsuba_crb.estimate.trial_record import SCHEMA, recorded
 from mitsuba_crb.estimate.trials import validate
-from mitsuba_crb.export.documents import validation_document
+from mitsuba_crb.export.documents import validation_document, write_json
 from mitsuba_crb.measure import measurement as measure
 
 OPTIONS: dict[str, Any] = {"size": (16, 12), "spp": 32, "sigma": 0.005, "perturb_deg": 0.2, "seed": 5}
@@ -272,7 +272,7 @@ def test_far_starts_fail_and_are_counted_apart() -> None:
 
 
 @pytest.mark.slow
-def test_a_start_that_sees_nothing_is_a_failed_trial(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_start_that_sees_nothing_is_a_failed_trial(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """And every trial may go through levels."""
     seen: list[int] = []
 
@@ -287,7 +287,11 @@ def test_a_start_that_sees_nothing_is_a_failed_trial(monkeypatch: pytest.MonkeyP
     assert seen == [1] * 8
     assert found.failed == (2,)
     assert found.trials[2].status == "diverged"
-    json.dumps(validation_document(found), allow_nan=False)
+    file = tmp_path / "trials.json"
+    write_json(file, validation_document(found))
+    record = recorded(file)
+    assert record is not None
+    assert tuple(record.trials) == found.trials
 
 
 @pytest.mark.parametrize(
