@@ -200,15 +200,15 @@ def look(view: View, arrays: dict[str, Any]) -> tuple[Sides, mi.Ray3f, mi.Color3
         camera_ray(view, mi.Point2f(*arrays[side]), mi.Point2f(*arrays["aperture"]))
         for side in ("inner", "outer")
     )
-    seen, instance, shape, face = _first_hit(view, inner, arrays["transform"])
-    beyond, *_ = _first_hit(view, outer, arrays["transform"])
+    seen, instance, shape, face = first_seen(view, inner, arrays["transform"])
+    beyond, *_ = first_seen(view, outer, arrays["transform"])
     contour = dr.rcp(arrays["depth"])
     shows = dr.abs(seen - contour) < dr.minimum(seen - beyond, dr.abs(contour - beyond))
     sides = Sides(dr.select(shows, dr.maximum(contour - beyond, 0.0), 0.0), instance, shape, face, seen)
     return sides, move_ray(outer, arrays["transform"]), importance
 
 
-def _first_hit(
+def first_seen(
     view: View, ray: mi.Ray3f, transform: mi.Transform4f
 ) -> tuple[mi.Float, mi.UInt32, mi.UInt32, mi.UInt32]:
     """Inverse depth of what is seen, 0 at infinity, instance's and shape's numbers, 0 for none, and face."""

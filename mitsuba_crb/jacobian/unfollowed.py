@@ -19,6 +19,7 @@ from ..render.arrays import upload, widened
 from ..render.paths import IntegratorTracer, PathTracer, White
 from ..render.rays import camera_ray, move_ray, opaque_transform
 from . import lint
+from .silhouettes import first_seen
 from .surfaces import has_contours, surface_key, surfaces
 
 if TYPE_CHECKING:
@@ -100,12 +101,8 @@ class Unfollowed:
         ray, _ = camera_ray(self.view, mi.Point2f(*(upload(mi.Float, x) for x in film.T)), aperture)
         transform, to_lens = opaque_transform(self.view.pose), ray.o.z / ray.d.z
         world_ray = move_ray(ray, transform)
-        hit = self.view.scene.ray_intersect_preliminary(world_ray)
-        valid = np.array(hit.is_valid(), dtype=bool)
-        instance, shape = (
-            np.where(valid, np.array(dr.reinterpret_array(mi.UInt32, pointer), dtype=np.int64), 0)
-            for pointer in (hit.instance, hit.shape)
-        )
+        _, *numbers, _ = first_seen(self.view, ray, transform)
+        instance, shape = (np.array(number, dtype=np.int64) for number in numbers)
         # Of an instance whose shapes are not listed its own number is all that is known.
         keys = surface_key(instance, shape), surface_key(0, instance)
         found = []
@@ -115,7 +112,7 @@ class Unfollowed:
         if self.far:
             beyond = mi.Ray3f(world_ray)
             beyond.maxt = dr.inf
-            found.append((FAR, ~valid & np.array(self.view.scene.ray_test(beyond), dtype=bool)))
+            found.append((FAR, (shape == 0) & np.array(self.view.scene.ray_test(beyond), dtype=bool)))
         if self.near:
             before = mi.Ray3f(mi.Point3f(ray.o - to_lens * ray.d), ray.d, to_lens, 0.0, ray.wavelengths)
             blocked = self.view.scene.ray_test(move_ray(before, transform))

@@ -561,7 +561,6 @@ UNKNOWN: dict[str, dict[str, Any]] = {
         "group": {
             "type": "shapegroup",
             "tube": {"type": "cylinder", "to_world": T().scale([1, 2, 1])},
-            "block": {"type": "cube", "to_world": T().scale(0.2)},
         },
         "first": {"type": "instance", "group": {"type": "ref", "id": "group"}, "to_world": ASIDE_OF_BOX},
     },
