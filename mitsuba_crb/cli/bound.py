@@ -13,6 +13,7 @@ from .options import (
     Debug,
     Define,
     DropInvalid,
+    Integrator,
     JsonFile,
     Method,
     Pixels,
@@ -23,6 +24,7 @@ from .options import (
     Sigma,
     Size,
     Spp,
+    Variant,
 )
 from .outcome import answered, foreseen, measuring
 
@@ -64,6 +66,7 @@ def bound(
     ] = None,
     pixels: Pixels = None,
     drop_invalid: DropInvalid = False,
+    integrator: Integrator = None,
     frame: Annotated[
         Literal["camera", "world"],
         typer.Option(help="Of the matrices and Jacobian columns; the standard deviations do not change."),
@@ -89,10 +92,11 @@ def bound(
     plot_file: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE", help="Write a page of pictures as PNG.")
     ] = None,
+    variant: Variant = None,
     debug: Debug = False,
 ) -> None:
     """The Cramér–Rao bound on the camera's pose."""
-    with foreseen(debug):
+    with foreseen(debug, variant):
         from ..export.targets import check_targets
         from .arguments import parse_defines, parse_displacements, parse_noise, view_files, view_options
 
@@ -102,6 +106,7 @@ def bound(
             size=size,
             pixels=pixels,
             drop_invalid=drop_invalid,
+            integrator=integrator,
             spp=spp,
             seed=seed,
             batches=batches,

@@ -7,7 +7,21 @@ from typing import Annotated
 import typer
 
 from ..measure.options import CHECKING, MeasurementOptions
-from .options import Batches, Debug, Define, DropInvalid, Pixels, Pose, Scene, Seed, Sensor, Size, Spp
+from .options import (
+    Batches,
+    Debug,
+    Define,
+    DropInvalid,
+    Integrator,
+    Pixels,
+    Pose,
+    Scene,
+    Seed,
+    Sensor,
+    Size,
+    Spp,
+    Variant,
+)
 from .outcome import console, foreseen, measuring
 
 
@@ -26,13 +40,15 @@ def check(
     define: Define = None,
     pixels: Pixels = None,
     drop_invalid: DropInvalid = False,
+    integrator: Integrator = None,
+    variant: Variant = None,
     debug: Debug = False,
 ) -> int:
     """Compare the methods with finite differences on this scene.
 
     Exit code 0 if they agree, 1 if they disagree, 3 if this many paths cannot tell.
     """
-    with foreseen(debug):
+    with foreseen(debug, variant):
         from .arguments import parse_defines, view_options
 
         options = view_options(
@@ -41,6 +57,7 @@ def check(
             size=size,
             pixels=pixels,
             drop_invalid=drop_invalid,
+            integrator=integrator,
             spp=spp,
             seed=seed,
             batches=batches,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .options import Config, Debug, JsonFile, Workers
+from .options import Config, Debug, JsonFile, Variant, Workers
 from .outcome import answered, foreseen, measuring
 
 
@@ -10,10 +10,11 @@ def fuse(
     config: Config,
     workers: Workers = None,
     json_file: JsonFile = None,
+    variant: Variant = None,
     debug: Debug = False,
 ) -> None:
     """What several agents know together of their common body's pose."""
-    with foreseen(debug):
+    with foreseen(debug, variant):
         from ..agents.team import load_team
         from ..export.targets import check_targets
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -47,4 +47,12 @@ Workers = Annotated[
     int | None, typer.Option(metavar="N", help="Processes that render; default: one per agent and core.")
 ]
 JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write everything as JSON.")]
+Integrator = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Integrator in place of the scene's, such as path, direct or volpath."),
+]
+Variant = Annotated[
+    Literal["llvm_ad_rgb", "cuda_ad_rgb"] | None,
+    typer.Option(help="Of Mitsuba: on the processor (the default), or on an NVIDIA GPU (untested)."),
+]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]

@@ -23,9 +23,13 @@ def complain(message: str) -> None:
 
 
 @contextmanager
-def foreseen(debug: bool) -> Iterator[None]:
-    """Turn what can go wrong into one line and an exit code."""
+def foreseen(debug: bool, variant: str | None = None) -> Iterator[None]:
+    """Turn what can go wrong into one line and an exit code; Mitsuba runs in a variant if one is given."""
     try:
+        if variant is not None:
+            from ..render.backend import use_mitsuba
+
+            use_mitsuba(variant)
         yield
     except (MitsubaCRBError, MemoryError) as error:
         if debug:

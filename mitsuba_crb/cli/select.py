@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from .options import Config, Debug, JsonFile, Workers
+from .options import Config, Debug, JsonFile, Variant, Workers
 from .outcome import answered, foreseen, measuring
 
 
@@ -30,10 +30,11 @@ def select(
             "--plot", metavar="FOLDER", help="Write a picture per agent, and the curve over budgets, as PNG."
         ),
     ] = None,
+    variant: Variant = None,
     debug: Debug = False,
 ) -> None:
     """Which image tiles several agents should send under a budget."""
-    with foreseen(debug):
+    with foreseen(debug, variant):
         from ..agents.team import load_team
         from ..agents.tiles import Budget
         from ..export.targets import check_folder, check_targets

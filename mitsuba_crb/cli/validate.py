@@ -13,6 +13,7 @@ from .options import (
     Debug,
     Define,
     DropInvalid,
+    Integrator,
     Method,
     Pixels,
     Pose,
@@ -22,6 +23,7 @@ from .options import (
     Sigma,
     Size,
     Spp,
+    Variant,
     Workers,
 )
 from .outcome import answered, foreseen, measuring
@@ -53,6 +55,7 @@ def validate(
     define: Define = None,
     pixels: Pixels = None,
     drop_invalid: DropInvalid = False,
+    integrator: Integrator = None,
     workers: Workers = None,
     json_file: Annotated[
         Path | None,
@@ -64,13 +67,14 @@ def validate(
         Path | None,
         typer.Option("--plot", metavar="FILE", help="Write coverage, NEES and eigenvalues as PNG."),
     ] = None,
+    variant: Variant = None,
     debug: Debug = False,
 ) -> int:
     """Put the bound to the test: perturb poses, align noisy images.
 
     Exit code 0 if the errors are as the bound says, 1 if they are not.
     """
-    with foreseen(debug):
+    with foreseen(debug, variant):
         from ..export.targets import check_targets
         from .arguments import parse_defines, view_files, view_options
 
@@ -80,6 +84,7 @@ def validate(
             size=size,
             pixels=pixels,
             drop_invalid=drop_invalid,
+            integrator=integrator,
             spp=spp,
             seed=seed,
             batches=batches,

@@ -27,6 +27,7 @@ from mitsuba_crb.measure import check as validation
 from mitsuba_crb.measure import options as measuring
 from mitsuba_crb.measure import report
 from mitsuba_crb.measure.tile_jacobian import TileJacobian
+from mitsuba_crb.render.backend import use_mitsuba
 
 WALL = str(Path(__file__).parents[2] / "scenes" / "textured_wall" / "textured_wall.xml")
 
@@ -187,6 +188,7 @@ VIEW = {
     "size": (20, 10),
     "pixels": "random:0.5",
     "drop_invalid": True,
+    "integrator": "volpath",
 }
 """What every command that measures a view can be told of it."""
 
@@ -207,9 +209,18 @@ def test_what_is_said_of_the_view_reaches_the_library(monkeypatch, capsys, comma
 
     monkeypatch.setattr(module, function, refuse)
     said = "--sensor left --method flow --spp 8 --seed 5 --batches 8 --size 20x10 --pixels random:0.5"
+    said += " --integrator volpath"
     refused(capsys, command, "room.xml", *said.split(), "--drop-invalid", "--pose", "1 2 3 0 0 0 1")
     np.testing.assert_array_equal(given["pose"][:3, 3], [1, 2, 3])
     assert given.items() >= (VIEW | more).items()
+
+
+@pytest.mark.parametrize("command", ["bound", "check", "validate", "fuse", "select"])
+def test_another_variant_than_the_one_that_runs_is_refused(capsys, command):
+    use_mitsuba()
+    assert "runs in variant llvm_ad_rgb, and cuda_ad_rgb is needed" in refused(
+        capsys, command, "room.xml", "--variant", "cuda_ad_rgb"
+    )
 
 
 def test_what_cannot_be_a_prior_is_refused(capsys, tmp_path):
