@@ -174,6 +174,7 @@ def test_options_reach_the_library(rendered, capsys, tmp_path):
         "size": (20, 10),
         "pixels": "random:0.5",
         "drop_invalid": True,
+        "integrator": None,
         "nuisances": ["gain", "fov"],
     }
     assert rendered.defines == {"a": "1", "b": "x=y"}
