@@ -64,6 +64,7 @@ def bound_document(bound: PoseBound, hcr: HCRBound | None = None) -> dict[str, A
         },
         "noise_inflation": provenance.get("noise_inflation"),
         "finite_differences": provenance.get("finite_differences"),
+        "no_bound": provenance.get("no_bound", []),
         "warnings": provenance.get("warnings", []),
         "versions": provenance.get("versions", {}),
         "seconds": provenance.get("seconds", {}),

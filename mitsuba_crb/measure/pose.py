@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Any, Unpack
 
 from ..bound.cramer_rao import PoseBound, joint_bound
-from ..errors import SceneWarning
+from ..errors import BlindSpotWarning, SceneWarning
 from ..information.image_jacobian import ImageJacobian
 from ..noise import NoiseModel
 from ..render.lending import in_turn
@@ -101,6 +101,9 @@ def pose_bound(
         "noise_inflation": alone.information.noise_inflation,
         "finite_differences": run.differences.to_dict(alone.information),
         "warnings": list(dict.fromkeys(str(warning.message) for warning in caught)),
+        "no_bound": list(
+            dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, BlindSpotWarning))
+        ),
         "seconds": {
             "prepare": prepared - start,
             "render": rendered - prepared,

@@ -37,6 +37,8 @@ def print_bound(console: Console, bound: PoseBound) -> None:
         Text(Path(str(facts["scene"])).name, style="bold"),
         f"  {width}×{height} pixels  {across:.1f}°×{down:.1f}° field of view",
     )
+    for text in facts.get("no_bound", ()):
+        print_line(console, Text("no bound: ", style="bold red"), text)
     print_line(
         console, "No unbiased estimator of this camera's pose has smaller standard deviations than these:"
     )
@@ -44,7 +46,8 @@ def print_bound(console: Console, bound: PoseBound) -> None:
     if bound.if_known:
         _costs(console, bound)
     print_facts(console, _bound_facts(bound))
-    print_notes(console, facts.get("warnings", ()))
+    above = facts.get("no_bound", ())
+    print_notes(console, [text for text in facts.get("warnings", ()) if text not in above])
 
 
 def print_hcr(console: Console, bound: HCRBound) -> None:

@@ -224,6 +224,21 @@ def test_another_variant_than_the_one_that_runs_is_refused(capsys, command):
     )
 
 
+def test_what_is_no_bound_is_said_above_the_table(capsys, tmp_path):
+    scene = str(Path(WALL).parents[1] / "checkerboard_wall" / "checkerboard_wall.xml")
+    file = tmp_path / "bound.json"
+    options = ("--size", "16x12", "--spp", "8", "--sigma", "0.1", "--json", str(file))
+    assert cli.run(["bound", scene, *options, "--method", "forward"]) == 0
+    out = capsys.readouterr().out
+    assert (
+        0 < out.index("no bound: method 'forward' cannot see a checkerboard texture") < out.index("1σ bound")
+    )
+    assert out.count("cannot see a checkerboard texture") == 1
+    assert "checkerboard" in json.loads(file.read_text())["no_bound"][0]
+    assert cli.run(["bound", scene, *options, "--method", "flow"]) == 0
+    assert "no bound" not in capsys.readouterr().out
+
+
 def test_what_cannot_be_a_prior_is_refused(capsys, tmp_path):
     assert "cannot read" in refused(capsys, "bound", "room.xml", "--prior", str(tmp_path / "none.toml"))
     (tmp_path / "imu.toml").write_text('frame = "body"\nposition_std = 1\n')
