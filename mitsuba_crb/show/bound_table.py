@@ -154,7 +154,7 @@ def _bound_facts(bound: PoseBound) -> list[tuple[str, str]]:
     )
     differences = facts.get("finite_differences") or {}
     if differences.get("blocks"):
-        rows.append(("instead", _differences(differences)))
+        rows.append(("finite differences", _differences(differences)))
     rows.append(("time", _seconds(facts["seconds"])))
     return rows
 
@@ -162,7 +162,12 @@ def _bound_facts(bound: PoseBound) -> list[tuple[str, str]]:
 def _differences(found: dict[str, Any]) -> str:
     """Which part of the information finite differences measured, and why."""
     causes = ", ".join(f"{cause} in {n} block{'s' * (n > 1)}" for cause, n in sorted(found["blocks"].items()))
-    return f"finite differences gave {100 * found['share']:.2g} % of the information's trace: {causes}"
+    return f"in flow's place: {_percent(found['share'])} of the information's trace, {causes}"
+
+
+def _percent(share: float) -> str:
+    """Two digits, but for a hundred."""
+    return f"{100 * share:.0f} %" if share >= 0.095 else f"{100 * max(share, 0.0):.2g} %"
 
 
 def _length_scale(length: float) -> str:
