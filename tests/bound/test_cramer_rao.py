@@ -658,6 +658,8 @@ class TestOutput:
             "optimality",
             "nuisances",
             "noise_inflation",
+            "finite_differences",
+            "no_bound",
             "warnings",
             "versions",
             "seconds",
