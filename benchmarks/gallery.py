@@ -1,20 +1,20 @@
 """Every plugin of Mitsuba, alone in a small scene: does the bound by flow agree with finite differences?
 
-    python benchmarks/gallery.py --quick                 # to 5 % of the trace; about fifteen minutes on 2 cores
-    python benchmarks/gallery.py                         # to 0.7 %; some hours
-    python benchmarks/gallery.py --only shape sphere     # kinds, or names of plugins
-    python benchmarks/gallery.py --minutes 9             # end in time; called again, it goes on
-    python benchmarks/gallery.py --markdown              # write gallery.md from what was measured
+    python benchmarks/gallery.py --quick              # to 5 % of the trace; twenty minutes on 2 cores
+    python benchmarks/gallery.py                      # to 0.7 %; some hours
+    python benchmarks/gallery.py --only shape sphere  # kinds, or names of plugins
+    python benchmarks/gallery.py --minutes 9          # end in time; called again, it goes on
+    python benchmarks/gallery.py --markdown           # write gallery.md from what was measured
 
 Scenes are written by gallery_scenes.py into a folder for the time being (`--folder` keeps them). Each is
-measured through a box and through a gaussian film, except those that are about a filter. Both methods' paths are
-raised until the combined standard error of F's trace (camera frame, translation in length scales) is the one
-asked for, or one measurement takes `--seconds`. Finite differences step as short as the filter demands.
+measured through a gaussian and through a box film, except those that are about a filter. Both methods' paths
+are raised until the combined standard error of F's trace (camera frame, translation in length scales) is the
+one asked for, or one measurement takes `--seconds`. Finite differences step as short as the filter demands.
 
 Flow agrees if the trace and the six diagonal entries of F differ by no more than the larger of 2 % and four
-combined standard errors; an entry below 0.1 % of the largest only has to be so. What differs has a verdict of its
-own: `told` where the bound itself warned of something, `differs` where it was silent. `undecided` are those whose
-standard error is above 5 % for want of time; `refused` is one line, which stands in the table. All numbers go to
+combined standard errors; entries below 0.1 % of the largest count as if they were that large. What differs is
+`told` if the scene's warnings say something, and `differs` if all was silent. `undecided` are those whose
+standard error is above 5 % for want of time; of `refused` the one line stands in the table. All numbers go to
 benchmarks/gallery.json after each scene; a scene that ended the process stands there as a crash.
 """
 
@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gallery_scenes import NOT_COVERED, SIZE, Picture, write
+from gallery_scenes import NOT_COVERED, SIZE, Picture, gallery, write
 from rich.console import Console
 
 from mitsuba_crb import load_scene, noise, pose_bound
@@ -50,8 +50,9 @@ SHARE, ERRORS, LEAST = 0.02, 4.0, 1e-3
 """Largest difference: relative, in standard errors, and of entries that are nearly none over the largest."""
 UNDECIDED = 0.05
 """Relative standard error of the trace beyond which agreement says nothing."""
-FILMS = ("box", "gaussian")
+FILMS = ("gaussian", "box")
 RUNNING = "the process ended"
+NAMES = ("trace", "x", "y", "z", "pitch", "yaw", "roll")
 console = Console(width=140)
 
 
@@ -97,17 +98,8 @@ def compared(path: Path, defines: dict[str, str], target: float, seconds: float)
     )
     value, error = scaled(flow.information)
     other, other_error = scaled(differences.information)
-    difference, errors = value - other, np.hypot(error, other_error)
-    size = np.maximum(np.abs(other), LEAST * np.max(np.abs(other[1:])))
-    allowed = np.maximum(SHARE * size, ERRORS * errors)
-    worst = int(np.argmax(np.abs(difference) / np.maximum(allowed, 1e-30)))
     methods = flow.provenance["finite_differences"]
-    result = {
-        "trace": difference[0] / size[0],
-        "se": errors[0] / size[0],
-        "worst": worst - 1,
-        "worst_difference": difference[worst] / size[worst],
-        "worst_se": errors[worst] / size[worst],
+    return judged(value, error, other, other_error) | {
         "flow": value.tolist(),
         "flow_errors": error.tolist(),
         "finite_difference": other.tolist(),
@@ -117,9 +109,25 @@ def compared(path: Path, defines: dict[str, str], target: float, seconds: float)
         "by_differences": methods["share"],
         "causes": methods["blocks"],
     }
-    if np.abs(difference[worst]) > allowed[worst]:
-        return result | {"verdict": "differs"}
-    return result | {"verdict": "agrees" if errors[0] <= UNDECIDED * size[0] else "undecided"}
+
+
+def judged(
+    value: np.ndarray, error: np.ndarray, other: np.ndarray, other_error: np.ndarray
+) -> dict[str, Any]:
+    """Whether (7,) traces and diagonals agree, and by how much the trace and the worst of them differ."""
+    difference, errors = value - other, np.hypot(error, other_error)
+    size = np.maximum(np.abs(other), LEAST * np.max(np.abs(other[1:])))
+    allowed = np.maximum(SHARE * size, ERRORS * errors)
+    worst = int(np.argmax(np.abs(difference) / np.maximum(allowed, 1e-30)))
+    verdict = "agrees" if errors[0] <= UNDECIDED * size[0] else "undecided"
+    return {
+        "verdict": "differs" if np.abs(difference[worst]) > allowed[worst] else verdict,
+        "trace": difference[0] / size[0],
+        "se": errors[0] / size[0],
+        "worst": NAMES[worst],
+        "worst_difference": difference[worst] / size[worst],
+        "worst_se": errors[worst] / size[worst],
+    }
 
 
 def measured(path: Path, which: str | None, target: float, seconds: float) -> dict[str, Any]:
@@ -131,7 +139,10 @@ def measured(path: Path, which: str | None, target: float, seconds: float) -> di
         try:
             result = compared(path, defines, target, seconds)
         except MitsubaCRBError as error:
-            result = {"verdict": "refused", "says": f"{type(error).__name__}: {error}".replace(f"{path}: ", "")}
+            result = {
+                "verdict": "refused",
+                "says": f"{type(error).__name__}: {error}".replace(f"{path}: ", ""),
+            }
     # What a bound says of its own samples is no verdict on its picture.
     said = list(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, SceneWarning)))
     if result["verdict"] == "differs" and said:
@@ -139,28 +150,32 @@ def measured(path: Path, which: str | None, target: float, seconds: float) -> di
     return result | {"warnings": said, "seconds": time.perf_counter() - start}
 
 
-def run(pictures: dict[Path, Picture], results: dict[str, Any], file: Path, options: argparse.Namespace) -> None:
+def run(pictures: dict[Path, Picture], options: argparse.Namespace) -> None:
     """Measure what has no result yet, and write each at once."""
     end = time.perf_counter() + 60.0 * options.minutes
     target, seconds = (0.05, 4.0) if options.quick else (options.target, options.seconds)
-    for path, picture in pictures.items():
-        if options.only and not {picture.kind, picture.name, *picture.name.split(", ")} & set(options.only):
-            continue
-        for film in ("own",) if picture.own_filter else FILMS:
-            key = f"{picture.kind} / {picture.name} / {film}"
-            if key in results and not options.again:
+    results = read(options.results)
+    for film in FILMS:
+        for path, picture in pictures.items():
+            wanted = {picture.kind, picture.name, *picture.name.split(", ")} & set(options.only)
+            key = f"{picture.kind} / {picture.name} / {'own' if picture.own_filter else film}"
+            if (options.only and not wanted) or (key in results and not options.again):
+                continue
+            if picture.own_filter and film != FILMS[0]:
                 continue
             if time.perf_counter() > end:
                 return
             results[key] = {"verdict": "crash", "says": RUNNING}
-            file.write_text(json.dumps(results, indent=1))
+            options.results.write_text(json.dumps(results, indent=1))
             gc.collect()  # kernels call what any scene in memory brings along
-            results[key] = measured(path, None if film == "own" else film, target, seconds)
-            file.write_text(json.dumps(results, indent=1))
+            results[key] = measured(path, None if picture.own_filter else film, target, seconds)
+            options.results.write_text(json.dumps(results, indent=1))
             console.print(f"{key}: {line(results[key])}", highlight=False)
 
 
-NAMES = ("trace", "x", "y", "z", "pitch", "yaw", "roll")
+def read(file: Path) -> dict[str, Any]:
+    """The results so far."""
+    return json.loads(file.read_text()) if file.exists() else {}
 
 
 def line(result: dict[str, Any]) -> str:
@@ -168,11 +183,17 @@ def line(result: dict[str, Any]) -> str:
     if "trace" not in result:
         return f"{result['verdict']}: {result['says']}"
     text = f"{result['verdict']} {100 * result['trace']:+.2f} ± {100 * result['se']:.2f} %"
-    text += f", worst {NAMES[result['worst'] + 1]} {100 * result['worst_difference']:+.2f} ± "
+    text += f", worst {result['worst']} {100 * result['worst_difference']:+.2f} ± "
     text += f"{100 * result['worst_se']:.2f} %, {result['seconds']:.0f} s"
     if result["causes"]:
-        text += f", {100 * result['by_differences']:.0f} % by differences ({', '.join(result['causes'])})"
+        text += f", by differences {shares(result)}"
     return "; ".join([text, *result["warnings"]])
+
+
+def shares(result: dict[str, Any]) -> str:
+    """What finite differences measured in flow's place, and why."""
+    causes = ", ".join(result["causes"])
+    return f"{100 * result['by_differences']:.0f} %: {causes}" if causes else ""
 
 
 def markdown(results: dict[str, Any]) -> str:
@@ -183,24 +204,27 @@ def markdown(results: dict[str, Any]) -> str:
     lines = [
         "# Gallery",
         "",
-        "Written by `python benchmarks/gallery.py --markdown`: flow against finite differences, each plugin alone;",
-        "differences and combined standard errors of F's trace, and of the diagonal entry (or the trace) that is",
-        "worst, relative, in percent. `by differences`: the share of flow's information that finite differences",
+        "Written by `python benchmarks/gallery.py --markdown`: flow against finite differences, each plugin",
+        "alone. Differences and combined standard errors are relative, in percent: of F's trace, and of the",
+        "diagonal entry (or the trace) worst for its error. Paths are those per pixel of flow, and of",
+        "each of the twelve renders. By differences: the share of flow's information that finite differences",
         f"measured, and why. {len(results)} measurements: {sums}; the median standard error is "
         f"{100 * np.median(errors):.1f} %.",
         "",
         "| kind | plugin | film | verdict | trace | worst | paths | by differences | it says |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
-    for key, result in results.items():
+    order = [f"{one.kind} / {one.name}" for one in gallery()]
+    for key, result in sorted(results.items(), key=lambda item: order.index(item[0].rpartition(" / ")[0])):
         cells = [*key.split(" / "), result["verdict"]]
         if "trace" in result:
             cells += [
                 f"{100 * result['trace']:+.2f} ± {100 * result['se']:.2f}",
-                f"{NAMES[result['worst'] + 1]} {100 * result['worst_difference']:+.2f} ± "
-                f"{100 * result['worst_se']:.2f}",
+                f"{result['worst']} {100 * result['worst_difference']:+.2f} ± {100 * result['worst_se']:.2f}",
                 " / ".join(map(str, result["spp"])),
-                f"{100 * result['by_differences']:.0f} %: {', '.join(result['causes'])}" if result["causes"] else "",
+                f"{100 * result['by_differences']:.0f} %: {', '.join(result['causes'])}"
+                if result["causes"]
+                else "",
                 "; ".join(result["warnings"]),
             ]
         else:
@@ -228,15 +252,14 @@ def main() -> None:
     parser.add_argument("--results", type=Path, default=HERE / "gallery.json")
     parser.add_argument("--markdown", action="store_true", help="only write the table beside the results")
     options = parser.parse_args()
-    results = json.loads(options.results.read_text()) if options.results.exists() else {}
     if options.markdown:
-        options.results.with_suffix(".md").write_text(markdown(results))
+        (HERE / "gallery.md").write_text(markdown(read(options.results)))
         return
     with contextlib.ExitStack() as stack:
         folder = options.folder or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         folder.mkdir(parents=True, exist_ok=True)
         use_mitsuba()
-        run(write(folder), results, options.results, options)
+        run(write(folder), options)
 
 
 if __name__ == "__main__":

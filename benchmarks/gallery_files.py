@@ -1,4 +1,4 @@
-"""What the gallery's scenes name: textures, volumes, meshes, curves and ellipsoids, made from fixed numbers."""
+"""What the gallery's scenes name: textures, volumes, meshes, curves and ellipsoids of fixed numbers."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """The gallery's scenes: every plugin of Mitsuba alone in a small picture, as XML files that are written here.
 
-Most stand before a textured wall under a point light and are seen after two bounces, which leaves no noise but
-the film's; what shows by reflection or transmission alone stands between two textured lamps. Files name their
-filter, width and height as `<default>`.
+Most stand before a textured wall under a point light and are seen after two bounces, which leaves no noise
+but the film's; what shows by reflection or transmission alone stands between two textured lamps. Files name
+their filter, width and height as `<default>`.
 """
 
 from __future__ import annotations
@@ -12,20 +12,18 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-
 SIZE = (24, 18)
 """Width and height [pixel]."""
 
+_SAMPLERS = ("independent", "stratified", "multijitter", "orthogonal", "ldsampler")
+_SPECTRA = ("d65", "srgb", "regular", "irregular", "uniform", "rawconstant", "blackbody")
 NOT_COVERED = {
-    **dict.fromkeys(("independent", "stratified", "multijitter", "orthogonal", "ldsampler"), "a sampler: "
-                    "random numbers are mitsuba_crb's own"),
-    **dict.fromkeys(("d65", "srgb", "regular", "irregular", "uniform", "rawconstant", "blackbody"), "a spectrum: "
-                    "three numbers under an rgb variant"),
-    "measured": "needs a file of measurements, which nobody may copy here",
-    "measured_polarized": "needs a file of measurements, and a polarised variant",
-    "blender": "a mesh in Blender's memory, not a file's",
-    "flat_sensor": "made by a loader of Mitsuba's own, not by scenes",
-}  # fmt: skip
+    **dict.fromkeys(_SAMPLERS, "samplers; random numbers are mitsuba_crb's own"),
+    **dict.fromkeys(_SPECTRA, "spectra; three numbers under an rgb variant"),
+    "measured": "needs a file of measurements by others",
+    "measured_polarized": "needs a file of measurements by others, and a polarised variant",
+    "blender": "a mesh in Blender's memory",
+}
 """Plugins that have no scene, and why."""
 
 DOCUMENT = """<scene version="3.0.0">
@@ -144,7 +142,9 @@ def lamp(where: str, radiance: str, kind: str = "area") -> str:
     return node("shape", "rectangle", where + black + node("emitter", kind, radiance))
 
 
-def film(kind: str = "hdrfilm", inside: str = values("string", pixel_format="rgb"), by: str = "$filter") -> str:
+def film(
+    kind: str = "hdrfilm", inside: str = values("string", pixel_format="rgb"), by: str = "$filter"
+) -> str:
     size = values("integer", width="$width", height="$height")
     return node("film", kind, size + inside + node("rfilter", by))
 
@@ -217,11 +217,14 @@ def emitters() -> Iterable[Picture]:
     ceiling = place(turn(1, 0, 0, 90), scale(0.4), move(0, 1.6, 1.5))
     sun = '<vector name="sun_direction" x="0.4" y="0.5" z="-1"/>'
     hours = floats(window_start_time=9, window_end_time=15, latitude=45, longitude=10, timezone=1)
-    days = values("integer", start_year=2025, start_month=6, start_day=1, end_year=2025, end_month=6, end_day=3)
+    first = values("integer", start_year=2025, start_month=6, start_day=1)
+    last = values("integer", end_year=2025, end_month=6, end_day=3)
     sky = place(turn(1, 0, 0, -120))
     yield picture("emitter", "area, seen", lamp(beyond, bitmap("radiance")))
     yield picture("emitter", "area, lights", wall(), lamp(ceiling, rgb("radiance", 8)))
-    yield picture("emitter", "directionalarea", wall(), lamp(place(scale(9)), rgb("radiance", 2), "directionalarea"))
+    yield picture(
+        "emitter", "directionalarea", wall(), lamp(place(scale(9)), rgb("radiance", 2), "directionalarea")
+    )
     for name, inside in {
         "constant": rgb("radiance", 1),
         "directional": '<vector name="direction" x="0.3" y="-0.4" z="1"/>' + rgb("irradiance", 3),
@@ -229,7 +232,7 @@ def emitters() -> Iterable[Picture]:
         "spot": aimed + rgb("intensity", 20) + floats(cutoff_angle=14, beam_width=8),
         "projector": aimed + floats(fov=30, scale=8) + bitmap("irradiance", "smooth"),
         "sunsky": sun + floats(turbidity=3, sun_scale=0.05) + sky,
-        "timed_sunsky": hours + days + floats(turbidity=3) + sky,
+        "timed_sunsky": hours + first + last + floats(turbidity=3) + sky,
     }.items():
         yield picture("emitter", name, wall(), node("emitter", name, inside))
     yield picture("emitter", "envmap", ball, node("emitter", "envmap", file("sky.exr")))
@@ -240,7 +243,8 @@ def bsdfs() -> Iterable[Picture]:
     ball = '<point name="center" x="-0.1" y="0.15" z="2"/>' + floats(radius=0.6)
     glossy = bsdf("roughconductor", floats(alpha=0.4))
     opacity = bitmap("opacity", "smooth")
-    pole = '<point name="p0" x="0.7" y="-2" z="1.5"/><point name="p1" x="0.3" y="2" z="1.7"/>' + floats(radius=0.3)
+    ends = '<point name="p0" x="0.7" y="-2" z="1.5"/><point name="p1" x="0.3" y="2" z="1.7"/>'
+    pole = shape("cylinder", ends + floats(radius=0.3), bsdf("hair"))
     for name, inside in {
         "diffuse": bitmap("reflectance"),
         "roughconductor": floats(alpha=0.3),
@@ -269,19 +273,20 @@ def bsdfs() -> Iterable[Picture]:
     }.items():
         surface = bsdf(name, inside)
         yield picture("bsdf", name, wall(surface), behind, beyond, traced=integrator(depth=4))
-    yield picture("bsdf", "null", wall(), shape("sphere", ball, bsdf("null")), POINT, traced=integrator(depth=4))
-    yield picture("bsdf", "hair", wall(), shape("cylinder", pole, bsdf("hair")), POINT)
+    yield picture(
+        "bsdf", "null", wall(), shape("sphere", ball, bsdf("null")), POINT, traced=integrator(depth=4)
+    )
+    yield picture("bsdf", "hair", wall(), pole, POINT)
 
 
 def textures() -> Iterable[Picture]:
     """Each on the wall, or on a mesh of its own."""
+    repeated = '<transform name="to_uv"><scale x="12" y="12"/></transform>'
     grid = node("volume", "gridvolume", file("colours.vol") + place(scale(8), move(-4, -4, -1)), "volume")
     for name, inside in {
         "bitmap, bilinear": bitmap("reflectance"),
         "bitmap, nearest": bitmap("reflectance", sampling="nearest"),
-        "checkerboard": node(
-            "texture", "checkerboard", '<transform name="to_uv"><scale x="12" y="12"/></transform>', "reflectance"
-        ),
+        "checkerboard": node("texture", "checkerboard", repeated, "reflectance"),
         "volume": node("texture", "volume", grid, "reflectance"),
     }.items():
         yield picture("texture", name, wall(matt(inside)), POINT)
@@ -306,7 +311,9 @@ def media() -> Iterable[Picture]:
         )
 
     thick = floats(scale=2, sigma_t=1) + albedo
-    density = node("volume", "gridvolume", file("density.vol") + place(scale(2), move(-0.9, -0.8, 1)), "sigma_t")
+    density = node(
+        "volume", "gridvolume", file("density.vol") + place(scale(2), move(-0.9, -0.8, 1)), "sigma_t"
+    )
     white = node("volume", "constvolume", floats(value=0.8), "albedo")
     ellipsoid = node("volume", "gridvolume", file("sggx.vol"), "S")
     yield filled("medium", "homogeneous", "homogeneous", thick)

@@ -1,9 +1,10 @@
 """What the film flow cannot follow, by block: no points, no contours, or a cut that moves with the camera.
 
-Participating media and ellipsoids have no points; of curves, signed distance fields, smooth shapes that are
-scaled unevenly and instances of very many faces nobody lists the contours; where the near or the far plane
-cuts a surface, the edge is the camera's and not the surface's. Rays through every pixel's middle and around
-it, as far as its filter reaches, find the blocks; what slips through between them is left to `closure`.
+Participating media and radiance fields, even those of meshes, have no points; of curves, signed distance
+fields, smooth shapes that are scaled unevenly and instances of very many faces nobody lists the contours;
+where the near or the far plane cuts a surface, the edge is the camera's and not the surface's. Rays through
+every pixel's middle and around it, as far as its filter reaches, find the blocks; what slips through between
+them is left to `closure`.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ class Unfollowed:
             shape, name = surface.shape, surface.shape.class_name()
             if volumes and shape.is_medium_transition():
                 found[surface.key] = MEDIA
-            elif not has_contours(surface):
+            elif (volumes and name == "EllipsoidsMesh") or not has_contours(surface):
                 found[surface.key] = _CAUSES.get(name, f"{name.lower()}s scaled unevenly")
         return Unfollowed(
             view,

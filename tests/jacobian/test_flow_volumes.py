@@ -48,13 +48,19 @@ SCENES: dict[str, dict[str, Any]] = {
         "camera": camera(16, 12),
         "blobs": BLOBS,
     },
+    "radiance field of meshes": {
+        "type": "scene",
+        "integrator": {"type": "volprim_rf_basic"},
+        "camera": camera(16, 12),
+        "blobs": BLOBS | {"type": "ellipsoidsmesh"},
+    },
 }
 
 
 SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("cloud", "camera in fog")]
 
 
-@pytest.mark.parametrize("name", ["radiance field", *SLOW])
+@pytest.mark.parametrize("name", ["radiance field", "radiance field of meshes", *SLOW])
 def test_rotation_is_the_filter_term_and_translation_a_difference(name: str) -> None:
     """Finite differences project onto flow's columns with slope 1, to 4 errors and 1 % of bias."""
     options: dict[str, Any] = {"spp": 256, "batches": 16}
