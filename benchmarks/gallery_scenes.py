@@ -273,6 +273,10 @@ def bsdfs() -> Iterable[Picture]:
     }.items():
         surface = bsdf(name, inside)
         yield picture("bsdf", name, wall(surface), behind, beyond, traced=integrator(depth=4))
+    veil = node(
+        "shape", "rectangle", place(turn(0, 1, 0, 180), scale(0.6), ROOM) + bsdf("mask", opacity + GREY)
+    )
+    yield picture("bsdf", "mask, before a wall", wall(), veil, POINT, traced=integrator(depth=4))
     yield picture(
         "bsdf", "null", wall(), shape("sphere", ball, bsdf("null")), POINT, traced=integrator(depth=4)
     )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mitsuba_crb import PoseBound, load_scene, pose_bound
-from mitsuba_crb.errors import FilmError, MitsubaCRBError, NoiseError, SceneError, SensorError, TracingError
+from mitsuba_crb.errors import FilmError, MitsubaCRBError, NoiseError, SceneError, SensorError
 from mitsuba_crb.render.backend import use_mitsuba
 
 use_mitsuba()
@@ -25,7 +25,7 @@ import gallery_scenes  # noqa: E402
 PICTURES = {f"{one.kind} {one.name}": one for one in gallery_scenes.gallery()}
 REFUSED: dict[str, tuple[type[MitsubaCRBError], str]] = {
     "emitter directionalarea": (NoiseError, "no light reaches"),
-    "emitter timed_sunsky": (TracingError, "cannot be traced"),
+    "emitter timed_sunsky": (SceneError, "use sunsky"),
     "film hdrfilm, xyz": (FilmError, "pixel_format"),
     "film specfilm": (SceneError, "spectral"),
     "sensor orthographic": (SensorError, "supported: perspective"),

@@ -58,6 +58,13 @@ def find_integrator(scene: mi.Scene, sensor: mi.Sensor, given: Any) -> mi.Sampli
             stacklevel=4,
         )
     if found.class_name() not in _NO_RADIANCE and isinstance(found, mi.SamplingIntegrator):
+        if _loses_light(scene, found):
+            warnings.warn(
+                "integrator path loses light on masked surfaces where nothing lies behind them, and method "
+                "'flow' does not: methods may differ; use volpath or prb",
+                SceneWarning,
+                stacklevel=4,
+            )
         return found
     if given is not None:
         raise IntegratorError(
@@ -66,6 +73,20 @@ def find_integrator(scene: mi.Scene, sensor: mi.Sensor, given: Any) -> mi.Sampli
         )
     warnings.warn(replaced(name, other), SceneWarning, stacklevel=4)
     return mi.load_dict({"type": other, **_depths(found)})
+
+
+def _loses_light(scene: mi.Scene, integrator: mi.SamplingIntegrator) -> bool:
+    """Whether light may be lost that surfaces reflect and let pass.
+
+    Mitsuba 3.9's `path` returns nothing along a path that only passed surfaces and left a scene without an
+    environment, not even what emitters sent to them.
+    """
+    import mitsuba as mi
+
+    if integrator.class_name() != "PathIntegrator" or scene.environment() is not None:
+        return False
+    flags = (part.flags() for part in contents(scene) if isinstance(part, mi.BSDF))
+    return any(mi.has_flag(f, mi.BSDFFlags.Null) and mi.has_flag(f, mi.BSDFFlags.Smooth) for f in flags)
 
 
 def _made(given: Any) -> mi.Integrator:

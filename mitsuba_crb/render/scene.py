@@ -99,7 +99,7 @@ def as_scene(scene: Any, wanted: Wanted | None = None) -> tuple[mi.Scene, str]:
 
     Raises:
         SceneError: it is none of these, was loaded under another variant, cannot be loaded, or has a mesh
-            without faces.
+            without faces or another thing that Mitsuba loads and cannot trace.
     """
     use_mitsuba()
     with _loading():
@@ -107,6 +107,10 @@ def as_scene(scene: Any, wanted: Wanted | None = None) -> tuple[mi.Scene, str]:
     for shape in loaded.shapes():
         if shape.is_mesh() and not shape.face_count():
             raise SceneError(f"mesh {shape.id()} has no faces, which Mitsuba cannot trace; remove it")
+    for emitter in loaded.emitters():
+        # Mitsuba 3.9 evaluates what is symbolic there, and no kernel of any scene is traced while it lives.
+        if emitter.class_name() == "TimedSunskyEmitter":
+            raise SceneError("emitter timed_sunsky is loaded by Mitsuba, but cannot be traced; use sunsky")
     return loaded, label
 
 

@@ -295,6 +295,27 @@ def test_the_sensors_medium_is_not_passed_by_without_a_word(tmp_path: Path) -> N
     assert opened(written(tmp_path, fog + inside, "")).integrator.class_name() == "VolumetricPathIntegrator"
 
 
+def test_light_that_path_loses_on_masks_is_not_lost_without_a_word() -> None:
+    """Half of what a half mask reflects: the half of the paths that pass it meet nothing."""
+    sheet = wall() | {"bsdf": {"type": "mask", "opacity": 0.5, "bsdf": {"type": "diffuse"}}}
+    lamp = {"type": "point", "position": [0.8, 1.2, -1.0], "intensity": {"type": "rgb", "value": 20.0}}
+    masked = scene(wall=sheet, light=lamp)
+    with pytest.warns(SceneWarning, match="path loses light on masked surfaces.*use volpath or prb"):
+        lossy = opened(masked)
+    whole = opened(masked | {"integrator": {"type": "volpath", "max_depth": 2}})
+    lossy, whole = (
+        np.array(mi.render(mi.load_dict(masked), integrator=view.integrator, spp=256)).mean()
+        for view in (lossy, whole)
+    )
+    assert lossy == pytest.approx(0.5 * whole, rel=0.02)
+    for harmless in (
+        scene(wall=sheet),  # a constant light
+        masked | {"integrator": {"type": "prb", "max_depth": 2}},
+        scene(wall=wall() | {"bsdf": {"type": "thindielectric"}}, light=lamp),
+    ):
+        opened(harmless)  # warnings are errors
+
+
 def test_what_is_not_needed_is_left_out_in_one_warning(tmp_path: Path) -> None:
     more = '<boolean name="high_quality_edges" value="true"/>'
     sampler = '<sampler type="independent"><integer name="dimension" value="2"/></sampler>'
