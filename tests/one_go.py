@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_crb.jacobian.finite_difference import STEP_PIXELS
 from mitsuba_crb.jacobian.method import Estimates, Method, Paths, estimates
 
 
 def estimated(
-    method: type[Method], view: Any, pixels: Any, *, step_pixels: float = STEP_PIXELS, **paths: int
+    method: type[Method], view: Any, pixels: Any, *, step_pixels: float | None = None, **paths: int
 ) -> Estimates:
     """All that it says."""
     mask = np.zeros(view.size[::-1], dtype=bool)

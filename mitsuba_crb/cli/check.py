@@ -30,9 +30,9 @@ def check(
     sensor: Sensor = "0",
     pose: Pose = None,
     method: Annotated[
-        list[str] | None,
-        typer.Option(metavar="M", help="Method to check, repeatable; default: flow and forward."),
-    ] = None,
+        list[str],
+        typer.Option(metavar="M", help="Method to check, repeatable: flow, as bound uses it, or forward."),
+    ] = [MeasurementOptions.method],  # noqa: B006  # read once, by Typer
     spp: Spp = CHECKING["spp"],
     seed: Seed = MeasurementOptions.seed,
     batches: Batches = CHECKING["batches"],
@@ -44,7 +44,7 @@ def check(
     variant: Variant = None,
     debug: Debug = False,
 ) -> int:
-    """Compare the methods with finite differences on this scene.
+    """Compare bound's method, or others, with finite differences on this scene.
 
     Exit code 0 if they agree, 1 if they disagree, 3 if this many paths cannot tell.
     """
@@ -64,12 +64,11 @@ def check(
         )
         defines = parse_defines(define)
 
-        from ..measure.check import CHECKED, check_jacobian
+        from ..measure.check import check_jacobian
         from ..render.scene import SceneFile
         from ..show.check_table import print_check
 
         with measuring() as (_, warned):
-            methods = tuple(method or CHECKED)
-            result = check_jacobian(SceneFile(scene, defines), methods=methods, **options)
+            result = check_jacobian(SceneFile(scene, defines), methods=tuple(method), **options)
         print_check(console(), result, warned)
         return result.exit_code

@@ -3,8 +3,8 @@
     dI/dξ_i ≈ [I(world_from_camera·exp(h_i e_i)) − I(world_from_camera·exp(−h_i e_i))] / (2 h_i)
 
 Both renders use the same random numbers, so their noise cancels where the image is smooth. The step h_i is
-given in pixels of image motion (0.15, a fraction of the reconstruction filter, which is what smooths the
-image in the pose), for translation at the near end of what is visible, and at most 0.05 length scales. The
+given in pixels of image motion (a fraction of the reconstruction filter, which is what smooths the image in
+the pose: `step_for`), for translation at the near end of what is visible, and at most 0.05 length scales. The
 bias is h²/6 times a third derivative; of an edge it is the filter's, averaged over the step (`edge_bias`).
 Almost assumption-free, at the price of twelve renders.
 Source: design section 4.3.
@@ -12,6 +12,7 @@ Source: design section 4.3.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
@@ -28,11 +29,9 @@ if TYPE_CHECKING:
     from .film_flow import FilmFlow
 
 STEP_PIXELS = 0.15
-"""Image motion of one step [pixel]."""
+"""Image motion of the longest step that is chosen for a filter [pixel]."""
 NEAR_PERCENTILE = 5.0
 """Percentile of the visible depth at which a translation step moves the image by that much."""
-
-
 BIAS = 0.02
 """Relative error of an edge's information that a step chosen for a filter may have."""
 
@@ -73,19 +72,24 @@ def step_for(pixel_filter: PixelFilter) -> float:
     return step
 
 
+def order_of(pixel_filter: PixelFilter, step_pixels: float) -> int:
+    """The power p of the step that an edge's bias goes by: 1 if the filter jumps (a box), else 2."""
+    shorter, longer = (edge_bias(pixel_filter, factor * step_pixels) for factor in (1.0, 2.0))
+    return round(math.log2(longer / shorter))
+
+
 @dataclass(frozen=True)
 class FiniteDifference:
     """The method, open for one view; it traces twelve times the paths that it is asked for."""
 
     name: ClassVar[str] = "finite_difference"
     follows_film: ClassVar[bool] = False
-    steps_image: ClassVar[bool] = True
     block = 1
 
     view: View
     paths: Paths
-    steps: NDArray[np.float64]
-    """See `steps_of`."""
+    step_pixels: float
+    """Image motion of a step [pixel]."""
     even: bool = False
     """Whether film offsets are Sobol' points, which resolve edges with far fewer paths."""
 
@@ -96,11 +100,11 @@ class FiniteDifference:
         mask: NDArray[np.bool_],
         paths: Paths,
         *,
-        step_pixels: float = STEP_PIXELS,
+        step_pixels: float | None = None,
         film_flows: tuple[FilmFlow, ...] = (),
     ) -> Self:
         """See `Method.open`."""
-        return cls(view, paths, steps_of(view, step_pixels))
+        return cls(view, paths, step_for(view.pixel_filter) if step_pixels is None else step_pixels)
 
     @classmethod
     def limits(cls, view: View) -> tuple[str, ...]:
@@ -115,12 +119,11 @@ class FiniteDifference:
         """Six columns, and the mean of the twelve renders."""
         values = np.empty((self.paths.batches, len(pixels), 3, 6))
         image = np.zeros((self.paths.batches, len(pixels), 3))
-        for axis in range(6):
-            values[..., axis], mean = column(
-                self.view, pixels, axis, self.steps[axis], self.paths, even=self.even
-            )
+        for axis, step in enumerate(steps_of(self.view, self.step_pixels)):
+            values[..., axis], mean = column(self.view, pixels, axis, step, self.paths, even=self.even)
             image += mean / 6.0
-        return Estimates(values, image, image.mean(axis=0))
+        bias = edge_bias(self.view.pixel_filter, self.step_pixels)
+        return Estimates(values, image, image.mean(axis=0), step_bias=bias)
 
 
 def column(

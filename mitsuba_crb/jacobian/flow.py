@@ -128,7 +128,7 @@ class Flow:
 
     name: ClassVar[str] = "flow"
     follows_film: ClassVar[bool] = True
-    steps_image: ClassVar[bool] = False
+    step_pixels: ClassVar[None] = None
     block = BLOCK
 
     def __init__(
@@ -146,7 +146,7 @@ class Flow:
         mask: NDArray[np.bool_],
         paths: Paths,
         *,
-        step_pixels: float,
+        step_pixels: float | None,
         film_flows: tuple[FilmFlow, ...] = (),
     ) -> Self:
         """See `Method.open`; errors and warnings as `prepare`."""

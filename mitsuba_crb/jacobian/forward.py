@@ -46,7 +46,7 @@ class Forward:
 
     name: ClassVar[str] = "forward"
     follows_film: ClassVar[bool] = False
-    steps_image: ClassVar[bool] = False
+    step_pixels: ClassVar[None] = None
     block = 1
 
     view: View
@@ -59,7 +59,7 @@ class Forward:
         mask: NDArray[np.bool_],
         paths: Paths,
         *,
-        step_pixels: float,
+        step_pixels: float | None,
         film_flows: tuple[FilmFlow, ...] = (),
     ) -> Self:
         """See `Method.open`.

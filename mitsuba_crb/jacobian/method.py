@@ -35,7 +35,7 @@ class Estimates(NamedTuple):
     causes: NDArray[np.object_] | None = None
     """None, or (n,) why finite differences took the method's place at a pixel, None where they did not."""
     step_bias: float = 0.0
-    """Relative error that their step may leave in the information of those pixels."""
+    """Relative error that their step may leave in the information of those pixels; without causes, of all."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,10 @@ class Method(Protocol):
     """As users call it."""
     follows_film: ClassVar[bool]
     """Whether it can differentiate in parameters that move the film alone, beside the pose."""
-    steps_image: ClassVar[bool]
-    """Whether it steps by `step_pixels`."""
+
+    @property
+    def step_pixels(self) -> float | None:
+        """Image motion of the step that all of its columns come from [pixel]; None where there is none."""
 
     @property
     def block(self) -> int:
@@ -84,7 +86,7 @@ class Method(Protocol):
         mask: NDArray[np.bool_],
         paths: Paths,
         *,
-        step_pixels: float,
+        step_pixels: float | None,
         film_flows: tuple[FilmFlow, ...] = (),
     ) -> Self:
         """Prepare what all tiles share.
@@ -92,7 +94,8 @@ class Method(Protocol):
         Args:
             view: what this method can measure; stays open as long as the method is used.
             mask: (H, W), the pixels that will be asked for.
-            step_pixels: image motion of a finite difference's step, where there is one [pixel].
+            step_pixels: image motion of a finite difference's step, where there is one [pixel]; None leaves
+                that to the method.
             film_flows: of parameters that act on the film alone; only for those that `follows_film`.
 
         Raises:

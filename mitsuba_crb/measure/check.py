@@ -1,21 +1,29 @@
 """Checks that users can run on their own scenes: is this Jacobian right here?
 
 A method is compared with finite differences, column by column. With independent random numbers on both sides
-and K batches each, the information of the difference D = J_method − J_fd and both informations are estimated
+and K batches each, the information of the difference D = J_method − J_h and both informations are estimated
 without bias (design section 5), so
 
     ratio_i = F_method,ii / F_fd,ii,   difference_i = (F_D,ii / F_fd,ii)^½ = ‖D_i‖ / ‖J_fd,i‖.
 
 All methods measure the same pixels, which are chosen once, with random numbers of their own each; what one of
-them drops as invalid is left out of the comparison with it. The reference's own bias follows from a second
-step, twice as long: F(h) − F(0) ≈ (F(2h) − F(h)) / 3.
+them drops as invalid is left out of the comparison with it.
+
+The reference is measured with two steps, h = `step_for` of the film's filter and 2h, by the same random
+numbers. Its bias goes as h^p, p = 1 with a box filter and 2 with others, whence
+
+    F_fd = F(h) + c_p (F(h) − F(2h)),   c_p = 1 / (2^p − 1).
+
+What the next order would make of it, |c_p − c_{p+1}| |F(h) − F(2h)|, is allowed for. Where the correction is
+more than `AGREEMENT`, the steps disagree, and nothing is decided. The norm of J's own error is of half the
+order of F's or better: ‖J_h − J‖ ≤ ‖J_h − J_2h‖ / (2^{p/2} − 1).
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, Unpack
+from typing import Any, Self, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,18 +33,21 @@ from ..files import Record
 from ..information.accumulate import fisher_information
 from ..information.fisher import FisherInformation
 from ..information.image_jacobian import ImageJacobian
+from ..information.joint import joint_information
+from ..information.symmetric import triangle
+from ..jacobian.finite_difference import order_of, step_for
 from ..jacobian.methods import METHODS, REFERENCE
 from ..noise import Gaussian
 from ..render.scene import as_scene
 from .measurement import measurement
-from .mitsuba_view import wanted
+from .mitsuba_view import open_measurable, wanted
 from .options import CHECKING, MeasurementKeywords, MeasurementOptions
 
 AGREEMENT = 0.05
 """The smallest disagreement that a check must be able to see before it may say "agree"."""
 
 CHECKED = tuple(name for name in METHODS if name != REFERENCE.name)
-"""What can be checked, and is unless the user names methods."""
+"""What can be checked."""
 
 _SIGMAS = 3.0
 
@@ -47,17 +58,27 @@ class MethodCheck(Record):
 
     method: str
     ratio: NDArray[np.float64]
-    """(6,) F_method,ii / F_fd,ii, NaN for a column that neither sees."""
+    """(6,) F_method,ii / F_fd,ii, NaN for a column that finite differences do not see."""
     ratio_standard_error: NDArray[np.float64]
     """(6,)"""
     difference: NDArray[np.float64]
-    """(6,) ‖J_method,i − J_fd,i‖ / ‖J_fd,i‖, freed of both sides' noise, 0 if that leaves nothing."""
+    """(6,) ‖J_method,i − J_h,i‖ / ‖J_fd,i‖, freed of both sides' noise, 0 if that leaves nothing."""
     difference_standard_error: NDArray[np.float64]
     """(6,) its standard error, by the delta method; at difference 0 that of the largest it could hide."""
     detectable: NDArray[np.float64]
-    """(6,) the smallest |ratio − 1| that would have been seen: 3 standard errors and the reference's bias."""
+    """(6,) the smallest |ratio − 1| that would have been seen: 3 standard errors and the reference's bias.
+    Infinite where nothing would have been: the reference's steps disagree, or it does not see what the method
+    sees. NaN for a column that neither sees."""
     disagrees: NDArray[np.bool_]
     """(6,) whether ratio or difference exceed what chance and the reference's bias explain."""
+    paths: float
+    """So many times the paths would decide what is undecided, if no column disagrees: 1 if nothing is,
+    infinite if no number would."""
+
+    @property
+    def undecided(self) -> NDArray[np.bool_]:
+        """(6,) whether a column neither disagrees, nor would have been seen to."""
+        return np.asarray(~self.disagrees & (self.detectable > AGREEMENT))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,9 +87,14 @@ class JacobianCheck(Record):
 
     rows: tuple[MethodCheck, ...]
     detectable: float
-    """The smallest relative disagreement in F_ii that every column would have shown."""
+    """The smallest relative disagreement in F_ii that every column would have shown; infinite if there is
+    none to compare, or one in which nothing would have been seen."""
     reference_bias: NDArray[np.float64]
-    """(6,) relative bias of the finite-difference F_ii, from a second step."""
+    """(6,) relative bias that may be left in F_fd,ii; infinite where its steps disagree or see nothing."""
+    step_pixels: float
+    """Image motion of the shorter step [pixel]."""
+    paths: int | None
+    """Paths per pixel that would decide, about; None if it is decided, or no number would."""
 
     @property
     def disagreeing(self) -> list[str]:
@@ -87,6 +113,18 @@ class JacobianCheck(Record):
         """0 agree, 1 disagree, 3 inconclusive."""
         return {"agree": 0, "disagree": 1, "inconclusive": 3}[self.verdict]
 
+    @property
+    def cure(self) -> str:
+        """What would decide, if anything is undecided; else nothing."""
+        if self.verdict != "inconclusive":
+            return ""
+        if self.paths is not None:
+            return f"about {self.paths} paths per pixel would tell"
+        if any(np.isfinite(row.ratio).any() for row in self.rows):
+            steps = f"{self.step_pixels:.2g} and {2.0 * self.step_pixels:.2g} pixels"
+            return f"finite differences with steps of {steps} disagree, which more paths do not mend"
+        return "there is no column to compare"
+
     def __str__(self) -> str:
         lines = [
             f"{row.method}: F / F_fd = "
@@ -95,23 +133,27 @@ class JacobianCheck(Record):
             )
             for row in self.rows
         ]
-        return "\n".join([*lines, f"{self.verdict}; would have seen {100 * self.detectable:.2g} %"])
+        said = self.cure or f"would have seen {100 * self.detectable:.2g} %"
+        return "\n".join([*lines, f"{self.verdict}; {said}"])
 
 
 def check_jacobian(
-    scene: Any, *, methods: Sequence[str] = CHECKED, **options: Unpack[MeasurementKeywords]
+    scene: Any,
+    *,
+    methods: Sequence[str] = (MeasurementOptions.method,),
+    **options: Unpack[MeasurementKeywords],
 ) -> JacobianCheck:
     """Compare methods with finite differences on one view.
 
     Args:
         scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
-        methods: names of the methods to check.
+        methods: names of the methods to check; by default that of a bound.
         options: see `MeasurementOptions`, of which `method` and `step_pixels` are set here; defaults in
             `options.CHECKING`. Finite differences trace 12 times `spp`, at two steps.
 
     Returns:
         `JacobianCheck`; its `exit_code` is 0 (agree within what was detectable, and that is at most 5 %), 1
-        (disagree) or 3 (inconclusive: more samples are needed).
+        (disagree) or 3 (inconclusive: `paths` says how many would decide, if that is it).
 
     Raises:
         OptionError: no method, or an unknown one.
@@ -121,70 +163,148 @@ def check_jacobian(
         raise OptionError(f"methods to check: {', '.join(CHECKED)}; got {', '.join(unknown) or 'none'}")
 
     options = {**CHECKING, **options}
-    loaded, _ = as_scene(scene, wanted(MeasurementOptions(**options)))
+    given = MeasurementOptions(**options)
+    loaded, _ = as_scene(scene, wanted(given))
+    with open_measurable(loaded, given) as view:
+        step = step_for(view.pixel_filter)
+        order = order_of(view.pixel_filter, step)
     with measurement(loaded, **options) as run:
-        options["pixels"], given = run.mask, run.options
+        options["pixels"] = run.mask
 
-    def jacobian(method: str, stream: int, steps: float = 1.0) -> ImageJacobian:
+    def jacobian(method: str, stream: int, step_pixels: float | None = None) -> ImageJacobian:
         own: MeasurementKeywords = {
             **options,
             "method": method,
             "seed": given.seed + stream,
-            "step_pixels": steps * MeasurementOptions.step_pixels,
+            "step_pixels": step_pixels,
         }
-        with measurement(loaded, **own) as view:
-            view.warn_of_limits()
-            return view.jacobian()
+        with measurement(loaded, **own) as run:
+            run.warn_of_limits()
+            return run.jacobian()
 
-    reference = jacobian(REFERENCE.name, 1)
-    noise = Gaussian(float(np.nanmax(np.abs(reference.image))) or 1.0)
-    # The same random numbers at both steps, so that their difference is the bias and not the noise.
-    bias = _relative_bias(reference, jacobian(REFERENCE.name, 1, 2.0), noise)
+    # The same random numbers at both steps, so that their difference is the bias and less of the noise.
+    fine, coarse = (jacobian(REFERENCE.name, 1, length) for length in (step, 2.0 * step))
+    noise = Gaussian(float(np.nanmax(np.abs(fine.image))) or 1.0)
     rows = []
     for index, method in enumerate(methods):
         own = jacobian(method, 2 + index)
-        ours, theirs, difference = (
-            fisher_information(each, noise)
-            for each in (own.at(reference.pixels), reference.at(own.pixels), own - reference)
-        )
-        rows.append(_compare(method, ours, theirs, difference, bias))
-    seen = [row.detectable[np.isfinite(row.detectable)] for row in rows]
-    return JacobianCheck(tuple(rows), max((float(d.max()) for d in seen if d.size), default=np.inf), bias)
-
-
-def _relative_bias(fine: ImageJacobian, coarse: ImageJacobian, noise: Gaussian) -> NDArray[np.float64]:
-    """(6,) of the diagonal of the fine step's information; infinite for a column that is not seen."""
-    truth, doubled = (
-        np.diag(fisher_information(each, noise).matrix)
-        for each in (fine.at(coarse.pixels), coarse.at(fine.pixels))
+        steps = _Steps.of(fine.at(own.pixels), coarse.at(own.pixels), order, noise)
+        ours = fisher_information(own.at(fine.pixels).at(coarse.pixels), noise)
+        rows.append(_compare(method, ours, steps, fisher_information(own - fine, noise)))
+    known = [row.detectable[~np.isnan(row.detectable)] for row in rows]
+    needed = max(row.paths for row in rows)
+    result = JacobianCheck(
+        tuple(rows),
+        max((float(values.max()) for values in known if values.size), default=np.inf),
+        _Steps.of(fine, coarse, order, noise).bias,
+        step,
+        int(given.spp * 2 ** np.ceil(np.log2(needed))) if 1.0 < needed < np.inf else None,
     )
-    # Infinity keeps a column out of every comparison.
-    bias: NDArray[np.float64] = np.full(6, np.inf)
-    return np.divide(np.abs(doubled - truth) / 3.0, truth, out=bias, where=truth > 0.0)
+    return result
+
+
+@dataclasses.dataclass(frozen=True)
+class _Steps:
+    """What two steps say of the diagonal of F and of its bias; each (6,)."""
+
+    fine: NDArray[np.float64]
+    """F(h), which sets the scale of what is noise."""
+    fine_error: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    """See `FisherInformation.scale`."""
+    information: NDArray[np.float64]
+    """F_fd, extrapolated."""
+    error: NDArray[np.float64]
+    left: NDArray[np.float64]
+    """By how much F_fd may be wrong if the next order were right."""
+    left_by_chance: NDArray[np.float64]
+    """The part of `left` that noise explains."""
+    disagree: NDArray[np.bool_]
+    """Whether the correction is too large to be trusted."""
+    square: NDArray[np.float64]
+    """‖J_h − J‖² at most."""
+    square_error: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, fine: ImageJacobian, coarse: ImageJacobian, order: int, noise: Gaussian) -> Self:
+        """From the Jacobians at both steps; pixels that one of them lacks are left out."""
+        fine, coarse = fine.at(coarse.pixels), coarse.at(fine.pixels)
+        names = tuple(f"step {axis}" for axis in range(6))
+        change = fine.batch_values - coarse.batch_values
+        both = joint_information(
+            dataclasses.replace(
+                fine, batch_values=np.concatenate([fine.batch_values, change], axis=-1), parameters=names
+            ),
+            noise,
+        )
+        rows, columns = triangle(12)
+
+        def combined(own: float, mixed: float, square: float) -> tuple[NDArray[np.float64], ...]:
+            """own ‖J_h‖² + 2 mixed J_h·ΔJ + square ‖ΔJ‖², ΔJ = J_h − J_2h, and its standard error."""
+            G = np.zeros((6, len(rows)))
+            for axis in range(6):
+                for i, j, factor in ((0, 0, own), (0, 6, 2.0 * mixed), (6, 6, square)):
+                    G[axis, (rows == axis + i) & (columns == axis + j)] = factor
+            variance = np.sum(G @ both.covariance_of_entries * G, axis=1)
+            return G @ both.matrix[rows, columns], np.sqrt(np.maximum(variance, 0.0))
+
+        now, later = (1.0 / (2.0**p - 1.0) for p in (order, order + 1))
+        # F(h) − F(2h) = 2 J_h·ΔJ − ‖ΔJ‖²
+        information, error = combined(1.0, now, -now)
+        effect, effect_error = combined(0.0, 1.0, -1.0)
+        f, f_error = combined(1.0, 0.0, 0.0)
+        bound = 1.0 / (2.0 ** (order / 2.0) - 1.0) ** 2
+        square, square_error = combined(0.0, 0.0, bound)
+        size, chance = np.abs(effect), _SIGMAS * effect_error
+        return cls(
+            fine=f,
+            fine_error=f_error,
+            scale=both.fix().information.scale,
+            information=information,
+            error=error,
+            left=(now - later) * size,
+            left_by_chance=(now - later) * np.minimum(size, chance),
+            disagree=now * (size - chance) > AGREEMENT * np.maximum(information, f),
+            square=np.maximum(square, 0.0),
+            square_error=square_error,
+        )
+
+    @property
+    def bias(self) -> NDArray[np.float64]:
+        """(6,) `left` over F_fd; infinite where the steps disagree, or nothing is seen."""
+        bias: NDArray[np.float64] = np.full(6, np.inf)
+        seen = (self.information > 0.0) & ~self.disagree
+        return np.divide(self.left, self.information, out=bias, where=seen)
 
 
 def _compare(
-    method: str,
-    own: FisherInformation,
-    fd: FisherInformation,
-    difference: FisherInformation,
-    bias: NDArray[np.float64],
+    method: str, own: FisherInformation, steps: _Steps, difference: FisherInformation
 ) -> MethodCheck:
-    f, f_fd, f_d = (np.diag(item.matrix) for item in (own, fd, difference))
-    e, e_fd, e_d = (np.diag(item.standard_error) for item in (own, fd, difference))
+    f, f_fd, f_d = np.diag(own.matrix), steps.information, np.diag(difference.matrix)
+    e, e_fd, e_d = np.diag(own.standard_error), steps.error, np.diag(difference.standard_error)
     # Columns are compared on the scale of the best-seen translation or rotation of the reference: below 1e-6
     # of it a column is float32 rounding.
-    scale = fd.scale**2
-    floor = 1e-6 * np.max(f_fd * scale) / scale
-    seen = f_fd > np.maximum(_SIGMAS * e_fd, floor)
-    claimed = f > np.maximum(_SIGMAS * np.hypot(e, e_fd), floor)
+    largest = np.max(np.maximum(steps.fine, 0.0) * steps.scale**2) / steps.scale**2
+    seen = (f_fd > np.maximum(_SIGMAS * e_fd, 1e-6 * largest)) & (
+        steps.fine > np.maximum(_SIGMAS * steps.fine_error, 1e-6 * largest)
+    )
+    claimed = f > np.maximum(_SIGMAS * np.hypot(e, e_fd), 1e-6 * largest)
+    # What the reference does not see it may have missed: that is no alarm, and no agreement unless it is sure
+    # that there is next to nothing.
+    unknown = ~seen & (claimed | (_SIGMAS * e_fd > AGREEMENT * largest))
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(seen, f / f_fd, np.where(claimed, np.inf, np.nan))
+        ratio = np.where(seen, f / f_fd, np.nan)
         ratio_error = np.where(seen, np.hypot(e, ratio * e_fd) / f_fd, np.nan)
         relative = np.where(seen, np.sqrt(np.maximum(f_d, 0.0) / f_fd), np.nan)
         hidden = np.sqrt(np.maximum(f_d, e_d) / f_fd)
         relative_error = np.where(seen, 0.5 * e_d / f_fd / hidden, np.nan)
-    detectable = np.where(seen, _SIGMAS * ratio_error + bias, np.nan)
-    allowed = np.square(np.where(seen, np.maximum(2.0 * bias, 0.02), 0.0)) * f_fd
-    disagrees = np.where(seen, (np.abs(ratio - 1.0) > detectable) | (f_d - _SIGMAS * e_d > allowed), claimed)
-    return MethodCheck(method, ratio, ratio_error, relative, relative_error, detectable, disagrees)
+        detectable = np.where(seen, _SIGMAS * ratio_error + steps.bias, np.where(unknown, np.inf, np.nan))
+        chance = _SIGMAS * ratio_error + steps.left_by_chance / f_fd
+        times = np.square(chance / (AGREEMENT - (detectable - chance)))
+    allowed = np.maximum(steps.square, 0.02**2 * f_fd)
+    apart = f_d - _SIGMAS * np.hypot(e_d, steps.square_error) > allowed
+    disagrees = seen & ~steps.disagree & ((np.abs(ratio - 1.0) > detectable) | apart)
+    # A reference that saw nothing has no error to go by: four times as many paths may show more.
+    times = np.where(seen, np.where(steps.disagree, np.inf, times), np.where(unknown, 4.0, 1.0))
+    paths = max(1.0, float(times[~disagrees].max(initial=1.0)))
+    return MethodCheck(method, ratio, ratio_error, relative, relative_error, detectable, disagrees, paths)

@@ -107,7 +107,6 @@ class Measurement:
 
     def provenance(self) -> dict[str, Any]:
         """How the numbers were made, JSON-able."""
-        method = method_of(self.view, self.options.method)
         return {
             "scene": self.view.label,
             "sensor": self.view.variable,
@@ -117,7 +116,7 @@ class Measurement:
             "batches": self.options.batches,
             "size": list(self.view.size),
             "drop_invalid": self.options.drop_invalid,
-            "step_pixels": self.options.step_pixels if method.steps_image else None,
+            "step_pixels": self.method.step_pixels,
             "pixels": dataclasses.asdict(self.selection),
             "nuisances": {nuisance.name: nuisance.how for nuisance in self.nuisances},
             **self.view.provenance(),

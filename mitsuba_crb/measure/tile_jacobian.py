@@ -27,7 +27,7 @@ class TileJacobian:
     causes: NDArray[np.object_] | None = None
     """None, or (n,) why finite differences measured a pixel, None where they did not."""
     step_bias: float = 0.0
-    """Relative error that their step may leave in the information of those pixels."""
+    """Relative error that their step may leave in the information of those pixels; without causes, of all."""
 
     def finite(self) -> TileJacobian:
         """Without the pixels at which anything is NaN or infinite."""
@@ -57,8 +57,10 @@ class TileJacobian:
     @property
     def bias(self) -> NDArray[np.float64] | None:
         """(n,) relative error of their information by the step of finite differences; None without any."""
-        if self.causes is None or not self.step_bias:
+        if not self.step_bias:
             return None
+        if self.causes is None:
+            return np.full(len(self.pixels), self.step_bias)
         return np.where(self.causes != None, self.step_bias, 0.0)  # noqa: E711  # an array
 
     @property

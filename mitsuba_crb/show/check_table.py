@@ -30,7 +30,7 @@ def print_check(console: Console, check: JacobianCheck, warnings: Iterable[str] 
         for axis, name in enumerate(TWIST_ORDER):
             if row.disagrees[axis]:
                 verdict = Text("differs", style="bold red")
-            elif not math.isfinite(row.ratio[axis]):
+            elif math.isnan(row.detectable[axis]):
                 verdict = Text("unseen", style="green")
             elif row.detectable[axis] <= AGREEMENT:
                 verdict = Text("equal", style="green")
@@ -40,22 +40,19 @@ def print_check(console: Console, check: JacobianCheck, warnings: Iterable[str] 
                 name,
                 _pair(row.ratio[axis], row.ratio_standard_error[axis], "z.3f"),
                 _pair(row.difference[axis], row.difference_standard_error[axis], ".1%"),
-                _pair(row.detectable[axis], math.nan, ".2g" if math.isinf(row.detectable[axis]) else ".1%"),
+                "" if math.isinf(row.detectable[axis]) else _pair(row.detectable[axis], math.nan, ".1%"),
                 verdict,
             )
         console.print(table)
-    if math.isinf(check.detectable):
-        print_line(console, Text(f"{check.verdict}: there is no column to compare", style="bold yellow"))
-    else:
-        seen = f"{check.detectable:.1%}"
-        verb = "disagrees" if len(check.disagreeing) == 1 else "disagree"
-        sentence = {
-            "agree": f"the methods agree; a disagreement in information of {seen} would have been seen",
-            "disagree": f"{' and '.join(check.disagreeing)} {verb} with finite_difference; a disagreement of "
-            f"{seen} would have been seen in any column",
-            "inconclusive": f"inconclusive: only one above {seen} would have been seen; raise --spp",
-        }[check.verdict]
-        print_line(console, Text(sentence, style="green" if check.verdict == "agree" else "bold yellow"))
+    verb = "disagrees" if len(check.disagreeing) == 1 else "disagree"
+    known = math.isfinite(check.detectable)
+    seen = f"; a disagreement in information of {check.detectable:.1%} would have been seen" if known else ""
+    sentence = {
+        "agree": f"{' and '.join(row.method for row in check.rows)} and finite_difference agree{seen}",
+        "disagree": f"{' and '.join(check.disagreeing)} {verb} with finite_difference{seen}",
+        "inconclusive": f"inconclusive: {check.cure}{seen}",
+    }[check.verdict]
+    print_line(console, Text(sentence, style="green" if check.verdict == "agree" else "bold yellow"))
     print_notes(console, warnings)
 
 

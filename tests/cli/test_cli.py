@@ -22,7 +22,6 @@ from mitsuba_crb.cli.outcome import complain
 from mitsuba_crb.errors import OptionError, PoseError, PrecisionWarning, SceneError
 from mitsuba_crb.estimate import trials
 from mitsuba_crb.export.documents import bound_document
-from mitsuba_crb.jacobian.finite_difference import STEP_PIXELS
 from mitsuba_crb.measure import check as validation
 from mitsuba_crb.measure import options as measuring
 from mitsuba_crb.measure import report
@@ -262,7 +261,6 @@ def test_the_keywords_are_the_options():
     keywords = measuring.MeasurementKeywords.__annotations__
     written = {name: kind.__forward_arg__ for name, kind in keywords.items()}
     assert written == measuring.MeasurementOptions.__annotations__
-    assert measuring.MeasurementOptions.step_pixels == STEP_PIXELS
 
 
 @pytest.mark.parametrize(
@@ -392,9 +390,9 @@ def test_answer_is_printed_even_if_a_file_cannot_be_written(rendered, capsys, mo
 @pytest.mark.parametrize(
     ("ratio", "spread", "code", "words"),
     [
-        (1.0, 0.01, 0, ("methods agree", "equal")),
+        (1.0, 0.01, 0, ("forward and finite_difference agree", "equal")),
         (0.2, 0.01, 1, ("forward disagrees with finite_difference", "differs")),
-        (1.0, 0.2, 3, ("inconclusive", "undecided")),
+        (1.0, 0.2, 3, ("inconclusive: about 40000 paths", "undecided")),
     ],
 )
 def test_check_prints_columns_and_returns_the_verdict(monkeypatch, capsys, ratio, spread, code, words):
@@ -407,8 +405,9 @@ def test_check_prints_columns_and_returns_the_verdict(monkeypatch, capsys, ratio
         spread * one,
         3 * spread * one,
         np.full(6, ratio != 1),
+        156.25,
     )
-    result = validation.JacobianCheck((row,), 3 * spread, 0 * one)
+    result = validation.JacobianCheck((row,), 3 * spread, 0 * one, 0.15, 40000)
 
     def check_jacobian(loaded, **options):
         for _ in range(2):
@@ -428,8 +427,8 @@ def test_check_prints_columns_and_returns_the_verdict(monkeypatch, capsys, ratio
 
 def test_check_with_nothing_to_compare_says_so(monkeypatch, capsys):
     unknown = np.full(6, np.nan)
-    row = validation.MethodCheck("forward", *[unknown] * 5, np.zeros(6, bool))
-    result = validation.JacobianCheck((row,), np.inf, np.zeros(6))
+    row = validation.MethodCheck("forward", *[unknown] * 5, np.zeros(6, bool), 1.0)
+    result = validation.JacobianCheck((row,), np.inf, np.zeros(6), 0.15, None)
     monkeypatch.setattr(validation, "check_jacobian", lambda loaded, **options: result)
     assert cli.run(["check", "room.xml"]) == 3
     out = capsys.readouterr().out
