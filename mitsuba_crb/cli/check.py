@@ -44,7 +44,7 @@ def check(
     variant: Variant = None,
     debug: Debug = False,
 ) -> int:
-    """Compare bound's method, or others, with finite differences on this scene.
+    """Compare a method with finite differences on this scene.
 
     Exit code 0 if they agree, 1 if they disagree, 3 if this many paths cannot tell.
     """
