@@ -30,7 +30,6 @@ from mitsuba_crb.errors import PrecisionWarning
 from mitsuba_crb.files import atomic
 from mitsuba_crb.information.accumulate import fisher_information
 from mitsuba_crb.information.fisher import FisherInformation
-from mitsuba_crb.jacobian.finite_difference import FiniteDifference
 from mitsuba_crb.measure.measurement import measurement, versions
 from mitsuba_crb.noise import Gaussian
 
@@ -49,10 +48,8 @@ def extrapolated(name: str, *, spp: int, seed: int, step: float) -> tuple[Fisher
     """F by Richardson's extrapolation, and diag F(h) / diag F − 1."""
     row, jacobians = ROWS[name], []
     options = {"size": row.size, "spp": spp, "seed": seed, "batches": BATCHES}
-    with measurement(row.scene(), method="finite_difference", **options) as measured:
-        for pixels in (step, 2.0 * step):
-            # In the place of the method that the measurement would open, whose film points are independent.
-            vars(measured)["method"] = FiniteDifference(measured.view, measured.paths, pixels, even=True)
+    for pixels in (step, 2.0 * step):
+        with measurement(row.scene(), method="finite_difference", step_pixels=pixels, **options) as measured:
             jacobians.append(measured.jacobian())
     fine, coarse = jacobians
     values = (4.0 * fine.batch_values - coarse.batch_values) / 3.0

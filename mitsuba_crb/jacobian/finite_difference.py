@@ -2,7 +2,8 @@
 
     dI/dξ_i ≈ [I(world_from_camera·exp(h_i e_i)) − I(world_from_camera·exp(−h_i e_i))] / (2 h_i)
 
-Both renders use the same random numbers, so their noise cancels where the image is smooth. The step h_i is
+Both renders use the same random numbers, so their noise cancels where the image is smooth; film offsets are
+Sobol' points, which resolve edges with far fewer paths than independent ones. The step h_i is
 given in pixels of image motion (a fraction of the reconstruction filter, which is what smooths the image in
 the pose: `step_for`), for translation at the near end of what is visible, and at most 0.05 length scales. The
 bias is h²/6 times a third derivative; of an edge it is the filter's, averaged over the step (`edge_bias`).
@@ -58,10 +59,23 @@ def edge_bias(pixel_filter: PixelFilter, step_pixels: float) -> float:
     The derivative of an edge's image is h at its distance; a central difference averages that over the step.
     What is smoother than an edge loses less.
     """
-    h = pixel_filter.values
-    width = max(1, round(step_pixels / pixel_filter.radius * len(h)))
-    averaged = np.convolve(h, np.full(width, 1.0 / width))
+    h, averaged = _averaged(pixel_filter, step_pixels)
     return float(1.0 - np.sum(averaged**2) / np.sum(h**2))
+
+
+def edge_misfit(pixel_filter: PixelFilter, step_pixels: float) -> float:
+    """How far a step takes an edge's derivative from the true one: ∫ (h * b − h)² / ∫ h², see `edge_bias`."""
+    h, averaged = _averaged(pixel_filter, step_pixels)
+    return float(np.sum((averaged - h) ** 2) / np.sum(h**2))
+
+
+def _averaged(pixel_filter: PixelFilter, step_pixels: float) -> tuple[NDArray[np.float64], ...]:
+    """h, between zeros, and h * b at the same places."""
+    h = pixel_filter.values
+    # Odd, so that the average's middle is at one of the places.
+    width = 2 * round(0.5 * step_pixels / pixel_filter.radius * len(h)) + 1
+    averaged = np.convolve(h, np.full(width, 1.0 / width))
+    return np.pad(h, width // 2), averaged
 
 
 def step_for(pixel_filter: PixelFilter) -> float:
@@ -90,8 +104,6 @@ class FiniteDifference:
     paths: Paths
     step_pixels: float
     """Image motion of a step [pixel]."""
-    even: bool = False
-    """Whether film offsets are Sobol' points, which resolve edges with far fewer paths."""
 
     @classmethod
     def open(
@@ -120,7 +132,7 @@ class FiniteDifference:
         values = np.empty((self.paths.batches, len(pixels), 3, 6))
         image = np.zeros((self.paths.batches, len(pixels), 3))
         for axis, step in enumerate(steps_of(self.view, self.step_pixels)):
-            values[..., axis], mean = column(self.view, pixels, axis, step, self.paths, even=self.even)
+            values[..., axis], mean = column(self.view, pixels, axis, step, self.paths)
             image += mean / 6.0
         bias = edge_bias(self.view.pixel_filter, self.step_pixels)
         return Estimates(values, image, image.mean(axis=0), step_bias=bias)
@@ -132,8 +144,6 @@ def column(
     axis: int,
     step: float,
     paths: Paths,
-    *,
-    even: bool = False,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """dI/dξ_axis (batches, n, 3) in the camera frame, and the mean of its two renders, likewise."""
     twist = np.zeros(6)
@@ -146,7 +156,7 @@ def column(
             seed=paths.seed,
             batches=paths.batches,
             pose=view.pose @ se3.exp(xi),
-            even=even,
+            even=True,
         )
         for xi in (twist, -twist)
     )

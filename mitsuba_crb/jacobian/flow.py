@@ -205,7 +205,7 @@ class Flow:
         depth = first_hits(self.view, pixels)[1]
         steps = finite_difference.steps_of(self.view, self._step_pixels, depth[np.isfinite(depth)])
         columns = [
-            finite_difference.column(self.view, pixels, axis, step, self.paths, even=True)[0]
+            finite_difference.column(self.view, pixels, axis, step, self.paths)[0]
             for axis, step in enumerate(steps[:count])
         ]
         return np.stack(columns, axis=-1)

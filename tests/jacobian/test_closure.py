@@ -8,13 +8,13 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
-from small_scenes import T, scene, wall
+from small_scenes import T, camera, scene, wall
 
 from mitsuba_crb import pose_bound
 from mitsuba_crb.information.accumulate import InformationAccumulator
 from mitsuba_crb.jacobian import flow
 from mitsuba_crb.jacobian.closure import FilmBlocks, _squares, breaches, suspects
-from mitsuba_crb.jacobian.finite_difference import BIAS, edge_bias, step_for
+from mitsuba_crb.jacobian.finite_difference import BIAS, edge_bias, edge_misfit, order_of, step_for
 from mitsuba_crb.jacobian.silhouettes import Contours
 from mitsuba_crb.noise import Gaussian
 from mitsuba_crb.render.film import PixelFilter
@@ -174,6 +174,31 @@ def test_the_step_for_a_filter_hides_little_of_an_edge() -> None:
     for name in ("box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos"):
         pixel_filter = PixelFilter.of(mi.load_dict({"type": name}))
         assert 0.0 < edge_bias(pixel_filter, step_for(pixel_filter)) <= BIAS
+        assert order_of(pixel_filter, step_for(pixel_filter)) == (1 if name == "box" else 2)
+        misfit = [edge_misfit(pixel_filter, step_for(pixel_filter) * factor) for factor in (1.0, 2.0)]
+        # Two ends, each a ramp of width 2h in the place of a jump: h/6 of its square.
+        assert name != "box" or misfit[0] == pytest.approx(step_for(pixel_filter) / 3.0, rel=0.02)
+        assert 0.0 < misfit[0] < edge_bias(pixel_filter, step_for(pixel_filter)) < 1.0
+        assert misfit[1] > 1.9 * misfit[0]
+
+
+@pytest.mark.parametrize("spp", [64, 1024])
+def test_a_bound_by_finite_differences_on_a_box_film_is_flow_s_within_its_errors(spp: int) -> None:
+    sensor = camera(24, 18)
+    sensor["film"] |= {"rfilter": {"type": "box"}}
+    which = scene(sensor=sensor, wall=wall(), square=SQUARE)
+    true = information(which, spp=1024, seed=7).information
+    found = information(which, spp=spp, method="finite_difference")
+    assert agree(found.information, true, tolerance=0.0)
+    assert found.provenance["step_pixels"] == pytest.approx(0.01875)
+    assert not found.provenance["finite_differences"]["blocks"]
+    coarse = information(which, spp=spp, method="finite_difference", step_pixels=0.3)
+    assert coarse.provenance["step_pixels"] == 0.3
+    assert agree(coarse.information, true, tolerance=0.0)
+    # Its step is in its errors.
+    errors = np.diag(coarse.information.standard_error)
+    F = np.diag(coarse.information.matrix)
+    assert np.all(errors > 0.99 * edge_bias(PixelFilter.of(mi.load_dict({"type": "box"})), 0.3) * F)
 
 
 def test_a_bias_in_common_enters_the_covariance_with_its_square() -> None:

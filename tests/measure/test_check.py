@@ -9,11 +9,13 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
-from small_scenes import camera, scene, texture, textured_wall, torn_wall, wall
+from small_scenes import T, camera, scene, texture, textured_wall, torn_wall, wall
 
 from mitsuba_crb import check_jacobian, fisher_information, pose_jacobian
 from mitsuba_crb.errors import BlindSpotWarning, OptionError
 from mitsuba_crb.information.blocks import BLOCK
+from mitsuba_crb.jacobian import finite_difference, flow
+from mitsuba_crb.jacobian.silhouettes import Contours
 from mitsuba_crb.noise import Gaussian
 
 FORWARD = {"methods": ("forward",)}
@@ -40,6 +42,47 @@ def test_forward_fails_on_a_nearest_texture() -> None:
     assert check.rows[0].difference == pytest.approx(1.0, abs=0.05)
 
 
+def board(name: str) -> dict[str, Any]:
+    """A white board, a little turned, before nothing: all that is seen is its outline."""
+    sensor = camera(24, 18)
+    sensor["film"] |= {"rfilter": {"type": name}}
+    placed = T().translate([0.1, 0.15, 3.0]).rotate([0, 0, 1], 20).rotate([0, 1, 0], 180).scale(0.7)
+    glow = {"type": "area", "radiance": {"type": "rgb", "value": 1.0}}
+    shape = {"type": "rectangle", "to_world": placed, "emitter": glow}
+    return {"type": "scene", "camera": sensor, "board": shape}
+
+
+@pytest.mark.parametrize("name", ["box", "tent", "gaussian"])
+def test_flow_is_never_found_wrong_where_it_is_right_whatever_the_film(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The negative control counts contours twice, and lets no closure mend that."""
+    options: dict[str, Any] = {"spp": 1024, "batches": 8}
+    check = check_jacobian(board(name), **options)
+    (row,) = check.rows
+    assert row.method == "flow"
+    assert check.verdict != "disagree"
+    assert np.all(np.abs(row.ratio - 1.0) < row.detectable)
+    assert (check.paths is None) == (check.verdict == "agree")
+    jump = Contours.jump
+    monkeypatch.setattr(Contours, "jump", lambda *args: 2.0 * jump(*args))
+    monkeypatch.setattr(flow, "suspects", lambda *args: np.zeros(len(args[-1].number), dtype=bool))
+    wrong = check_jacobian(board(name), **options)
+    assert wrong.exit_code == 1
+    assert wrong.rows[0].disagrees[:3].all()
+
+
+def test_as_many_paths_as_it_says_decide() -> None:
+    wall = textured_wall(sensor=camera(24, 16))
+    few = check_jacobian(wall, spp=16, seed=2)
+    assert few.verdict == "inconclusive"
+    assert few.paths is not None
+    assert f"about {few.paths} paths per pixel would tell" in str(few)
+    assert few.rows[0].undecided.any()
+    many = check_jacobian(wall, spp=2 * few.paths, seed=3)
+    assert (many.verdict, many.paths, many.cure) == ("agree", None, "")
+
+
 @pytest.mark.slow
 def test_too_few_samples_are_inconclusive() -> None:
     check = check_jacobian(textured_wall(), spp=8, seed=3, **FORWARD)
@@ -51,6 +94,34 @@ def test_columns_that_nobody_sees_do_not_count() -> None:
     plain = check_jacobian(scene(wall=wall()), spp=16, **FORWARD)
     assert plain.verdict == "inconclusive"
     assert np.all(np.isnan(plain.rows[0].ratio))
+
+
+def test_what_the_reference_does_not_see_is_no_alarm_and_no_agreement(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Finite differences without roll, beside flow with it; with it they agree."""
+    options: dict[str, Any] = {"spp": 256, "seed": 3}
+    wall = textured_wall(sensor=camera(24, 16))
+    assert check_jacobian(wall, **options).verdict == "agree"
+    column = finite_difference.column
+
+    def blind(view: Any, pixels: Any, axis: int, *others: Any) -> Any:
+        values, image = column(view, pixels, axis, *others)
+        return (0.0 if axis == 5 else 1.0) * values, image
+
+    monkeypatch.setattr(finite_difference, "column", blind)
+    check = check_jacobian(wall, **options)
+    assert (check.verdict, check.paths) == ("inconclusive", 1024)
+    assert check.rows[0].undecided.tolist() == 5 * [False] + [True]
+
+
+def test_steps_that_disagree_decide_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps as long as the filter is wide, at which a board's outline is washed out."""
+    monkeypatch.setattr("mitsuba_crb.measure.check.step_for", lambda _: 0.6)
+    check = check_jacobian(board("gaussian"), spp=256)
+    assert (check.verdict, check.paths) == ("inconclusive", None)
+    assert "steps of 0.6 and 1.2 pixels disagree, which more paths do not mend" in str(check)
+    assert np.all(np.isinf(check.reference_bias[[0, 1, 3, 4]]))
 
 
 @pytest.mark.parametrize(("pixels", "method"), [("random:0.5", "forward"), ("gradient:0.5", "flow")])
