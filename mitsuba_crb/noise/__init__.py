@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from .clipped import Clipped as Clipped
 from .colour import ColourBlocks as ColourBlocks
 from .colour import Luminance as Luminance
 from .curves import SRGB as SRGB
@@ -26,6 +27,7 @@ from .protocol import CoupledNoise as CoupledNoise
 from .protocol import IndependentNoise as IndependentNoise
 from .protocol import NoiseModel as NoiseModel
 from .protocol import ScalarNoise as ScalarNoise
+from .protocol import ThresholdNoise as ThresholdNoise
 from .schema import from_dict as from_dict
 from .schema import load as load
 from .sensor import Quantisation as Quantisation

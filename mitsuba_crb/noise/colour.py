@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import NoiseError
 from .covariance import positive_matrix
 from .parameters import array, at_pixels
-from .protocol import Array, CoupledNoise, IndependentNoise
+from .protocol import Array, CoupledNoise, IndependentNoise, ThresholdNoise
 
 REC709 = (0.2126, 0.7152, 0.0722)
 """Luminance of linear RGB with the primaries of ITU-R BT.709."""
@@ -71,7 +71,7 @@ class ColourBlocks(IndependentNoise):
 
 
 @dataclass(frozen=True)
-class Luminance(IndependentNoise):
+class Luminance(ThresholdNoise):
     """A camera with one channel y = l·μ; l = (0, 1, 0) measures green alone."""
 
     noise: IndependentNoise
@@ -110,8 +110,24 @@ class Luminance(IndependentNoise):
     def weights(self, pixels: NDArray[np.integer], mean: Array) -> Array:
         """i(l·μ) l lᵀ, (n, C, C)."""
         mix = np.array(self.coefficients)
-        information = self.noise.weights(pixels, (mean @ mix)[:, None]).reshape(-1, 1, 1)
+        information = self.noise.weights(pixels, self._measured(mean)).reshape(-1, 1, 1)
         return np.asarray(information * np.outer(mix, mix), dtype=np.float64)
+
+    def near_threshold(self, image: Array) -> NDArray[np.bool_]:
+        """(n,) as the channel's noise; without a threshold, wherever it depends on the mean."""
+        if isinstance(self.noise, ThresholdNoise):
+            return self.noise.near_threshold(self._measured(image))
+        return np.full(len(image), self.noise.depends_on_mean)
+
+    def saturated(self, mean: Array) -> NDArray[np.bool_]:
+        """(n, 1), as the channel's noise."""
+        if isinstance(self.noise, ThresholdNoise):
+            return self.noise.saturated(self._measured(mean))
+        return np.zeros((len(mean), 1), dtype=np.bool_)
+
+    def _measured(self, mean: Array) -> Array:
+        """(n, 1), l·μ."""
+        return np.asarray(mean @ np.array(self.coefficients), dtype=np.float64)[:, None]
 
     def to_dict(self) -> dict[str, Any]:
         """The model's parameters as JSON-able values."""

@@ -100,5 +100,16 @@ class ScalarNoise(IndependentNoise, Protocol):
         """
 
 
+@runtime_checkable
+class ThresholdNoise(IndependentNoise, Protocol):
+    """Independent noise that the mean changes near a threshold alone, so that few pixels need it exactly."""
+
+    def near_threshold(self, image: Array) -> NDArray[np.bool_]:
+        """(n,) where a mean about as large as this (n, C) may make a difference to the weights."""
+
+    def saturated(self, mean: Array) -> NDArray[np.bool_]:
+        """(n, measured channels), which values lie beyond the threshold and tell hardly anything."""
+
+
 NoiseModel = IndependentNoise | CoupledNoise
 """Either kind, for `isinstance` and annotations."""

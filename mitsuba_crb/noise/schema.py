@@ -25,6 +25,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, cre
 
 from ..errors import NoiseError
 from ..files import Table, checked, expected, read_array, read_sparse, read_toml, refused
+from .clipped import Clipped
 from .colour import REC709, ColourBlocks, Luminance
 from .curves import SRGB, Linear, Power, Tabulated
 from .gaussian import Gaussian, PerChannel, PerPixel
@@ -149,6 +150,7 @@ MODELS: Makers = {
     "gaussian": (Gaussian, {"sigma": float}),
     "per_channel": (PerChannel, {"sigmas": Numbers}),
     "per_pixel": (PerPixel, {"variance": Array}),
+    "clipped": (Clipped, {"sigma": float, "white": float}),
     "colour_blocks": (ColourBlocks, {"covariance": Array}),
     "heteroscedastic": (Heteroscedastic, {"coefficients": Numbers}),  # variance = c0 + c1 mean + ...
     "poisson_gaussian": (PoissonGaussian, {"gain": float, "read_noise": float}),

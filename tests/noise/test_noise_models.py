@@ -29,6 +29,51 @@ class TestGaussian(NoiseLaws):
         assert self.misfit(self.means[0], noise.Gaussian(0.2 / np.sqrt(1.1))) > 4.0
 
 
+class TestClipped(NoiseLaws):
+    """Below white, at it, and so far above that only one value in 400 is measured at all."""
+
+    sigma, white = 0.2, 0.5
+    model = noise.Clipped(sigma, white)
+    means = ((0.3, 0.1, 0.7), (-1.0, 0.5, 1.06))
+
+    def draw(self, rng, mean):
+        return np.minimum(mean + self.sigma * rng.normal(size=(DRAWS, 3)), self.white)
+
+    def log_likelihood(self, values, mean):
+        process = stats.norm(mean, self.sigma)
+        return np.where(values < self.white, process.logpdf(values), process.logsf(self.white)).sum(axis=1)
+
+    def test_a_camera_that_does_not_clip_fails(self):
+        assert self.misfit(self.means[0], noise.Gaussian(self.sigma)) > 10.0
+
+    def test_far_below_white_it_is_gaussian_and_far_above_it_tells_nothing(self):
+        weights = self.model.weights(ORIGIN, np.array([[0.5 - 9 * 0.2, -1e6, 0.5]]))[0]
+        np.testing.assert_allclose(weights * self.sigma**2, [1.0, 1.0, 0.5 + 1.0 / np.pi], rtol=1e-12)
+        np.testing.assert_array_equal(self.model.weights(ORIGIN, np.array([[2.4, 1e6, np.inf]])), 0.0)
+
+    def test_it_is_a_sensor_of_fine_codes_that_end_at_white(self):
+        fine = noise.Quantisation(8001, black=-3.5, white=self.white)
+        sensor = noise.Sensor(noise.Gaussian(self.sigma), "after", quantisation=fine)
+        means = np.linspace(-1.0, 1.2, 24).reshape(8, 3)
+        pixels = np.zeros((8, 2), int)
+        theirs = sensor.weights(pixels, means) * self.sigma**2
+        assert np.abs(self.model.weights(pixels, means) * self.sigma**2 - theirs).max() < 1e-3
+
+    def test_the_mean_matters_near_white_alone(self):
+        """Where a pixel is not near, half and twice its mean give equal weights; elsewhere some differ."""
+        model = noise.Luminance(noise.Clipped(0.01, 0.5))
+        means = np.repeat(np.geomspace(1e-3, 1e3, 601)[:, None], 3, axis=1)
+        pixels = np.zeros((601, 2), int)
+        for each in (model, model.noise):
+            near = each.near_threshold(means)
+            differ = each.weights(pixels, 0.5 * means) != each.weights(pixels, 2.0 * means)
+            assert not differ[~near].any()
+            assert 60 < near.sum() < 80
+            assert np.array_equal(each.saturated(means)[:, 0], means[:, 0] > 0.51)
+        assert not noise.Luminance(noise.Gaussian(0.1)).near_threshold(means).any()
+        assert noise.Luminance(noise.PoissonGaussian(0.1, 0.1)).near_threshold(means).all()
+
+
 class TestColourBlocks(NoiseLaws):
     covariance = np.array([[0.04, 0.02, 0.0], [0.02, 0.03, -0.01], [0.0, -0.01, 0.05]])
     model = noise.ColourBlocks(covariance)
@@ -305,6 +350,8 @@ def test_srgb_is_the_standards_curve():
         (lambda: noise.Heteroscedastic([1.0, -1.0]).weights(ORIGIN, np.array([[2.0]])), "variance is -1"),
         (lambda: noise.StudentT(0.1, 0.0), "nu must be positive"),
         (lambda: noise.Laplace(-1.0), "scale must be positive"),
+        (lambda: noise.Clipped(0.0, 1.0), "sigma must be positive"),
+        (lambda: noise.Clipped(0.1, -1.0), "white must be positive"),
         (lambda: noise.ColourBlocks(np.eye(2)).check(4, 5, 3), "but the image is 4 rows"),
         (lambda: noise.ColourBlocks([[1.0, 2.0], [2.0, 1.0]]), "smallest eigenvalue is -1"),
         (lambda: noise.ColourBlocks([[1.0, 0.5], [0.0, 1.0]]), "not symmetric"),

@@ -14,6 +14,7 @@ from mitsuba_crb.errors import NoiseError
 TENT = [[0.1, 0.2, 0.1], [0.2, 1.3, 0.2], [0.1, 0.2, 0.1]]
 MODELS = [
     noise.Gaussian(0.1),
+    noise.Clipped(0.1, 2.0),
     noise.PerChannel([0.1, 0.2, 0.3]),
     noise.ColourBlocks(np.eye(3) + 0.1),
     noise.Heteroscedastic([0.1, 0.2]),
