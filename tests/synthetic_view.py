@@ -94,7 +94,7 @@ def bound(view: ImageJacobian) -> PoseBound:
         "fov_deg": [40.0, 30.5],
         "pixels": dataclasses.asdict(view.selection),
         "integrator": "PathIntegrator",
-        "noise": {"model": "gaussian", "sigma": SIGMA, "origin": "0.01 of the image's white 1"},
+        "noise": {"model": "gaussian", "sigma": SIGMA, "origin": "0.01 of white 1 (99th percentile)"},
         "noise_inflation": result.information.noise_inflation,
         "warnings": ["one thing to know"],
         "versions": {"mitsuba_crb": "0.1.0"},

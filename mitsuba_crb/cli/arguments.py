@@ -85,6 +85,20 @@ def parse_noise(sigma: float | None, file: Path | None) -> NoiseModel | None:
     return None if sigma is None else noise.Gaussian(sigma)
 
 
+def parse_exposure(text: str | None) -> float | str | None:
+    """White of the default noise [radiance], "auto" or None.
+
+    Raises:
+        OptionError: it is neither a number nor "auto".
+    """
+    if text is None or text == "auto":
+        return text
+    try:
+        return float(text)
+    except ValueError:
+        raise OptionError(f"--exposure {text!r} is neither a radiance, such as 0.8, nor auto") from None
+
+
 def parse_displacements(file: Path | None, *, hcr: bool) -> npt.NDArray[np.float64] | None:
     """Camera-frame twists (m, 6) from a text file with six numbers a row; `#` starts a comment.
 

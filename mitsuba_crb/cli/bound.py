@@ -13,9 +13,11 @@ from .options import (
     Debug,
     Define,
     DropInvalid,
+    Exposure,
     Integrator,
     JsonFile,
     Method,
+    NoClip,
     Pixels,
     Pose,
     Scene,
@@ -40,6 +42,8 @@ def bound(
     size: Size = None,
     define: Define = None,
     sigma: Sigma = None,
+    exposure: Exposure = None,
+    no_clip: NoClip = False,
     noise_file: Annotated[
         Path | None,
         typer.Option(
@@ -98,7 +102,14 @@ def bound(
     """The Cramér–Rao bound on the camera's pose."""
     with foreseen(debug, variant):
         from ..export.targets import check_targets
-        from .arguments import parse_defines, parse_displacements, parse_noise, view_files, view_options
+        from .arguments import (
+            parse_defines,
+            parse_displacements,
+            parse_exposure,
+            parse_noise,
+            view_files,
+            view_options,
+        )
 
         options = view_options(
             sensor=sensor,
@@ -111,6 +122,7 @@ def bound(
             seed=seed,
             batches=batches,
         )
+        options |= {"exposure": parse_exposure(exposure), "clip": not no_clip}
         defines = parse_defines(define)
         noise = parse_noise(sigma, noise_file)
         inputs = [*view_files(scene, pose, pixels), *filter(None, [prior, noise_file, displacements])]

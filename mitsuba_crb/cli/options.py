@@ -25,8 +25,20 @@ Sigma = Annotated[
     float | None,
     typer.Option(
         metavar="X",
-        help="Standard deviation of the pixel noise (radiance); default: 0.01 of the image's white.",
+        help="Standard deviation of the pixel noise (radiance), of a camera that never saturates; default: "
+        "0.01 of white.",
     ),
+]
+Exposure = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X|auto",
+        help="White of the default noise (radiance); default: from what is lit, once for all views of a run; "
+        "auto: for each.",
+    ),
+]
+NoClip = Annotated[
+    bool, typer.Option("--no-clip", help="The default noise goes on above white instead of saturating.")
 ]
 Size = Annotated[str | None, typer.Option(metavar="WxH", help="Image size in place of the film's (pixels).")]
 Pixels = Annotated[

@@ -13,6 +13,7 @@ from .options import (
     Debug,
     Define,
     DropInvalid,
+    Exposure,
     Integrator,
     Method,
     Pixels,
@@ -41,6 +42,7 @@ def validate(
         float, typer.Option(metavar="T", help="Starts are moved by up to this distance (scene units).")
     ] = 0.01,
     sigma: Sigma = None,
+    exposure: Exposure = None,
     estimator: Annotated[
         Literal["gauss_newton", "levenberg_marquardt", "adam"], typer.Option(help="What is put to the test.")
     ] = "gauss_newton",
@@ -76,7 +78,7 @@ def validate(
     """
     with foreseen(debug, variant):
         from ..export.targets import check_targets
-        from .arguments import parse_defines, view_files, view_options
+        from .arguments import parse_defines, parse_exposure, view_files, view_options
 
         options = view_options(
             sensor=sensor,
@@ -89,6 +91,7 @@ def validate(
             seed=seed,
             batches=batches,
         )
+        options |= {"exposure": parse_exposure(exposure)}
         defines = parse_defines(define)
         inputs = view_files(scene, pose, pixels)
         check_targets({"--json": json_file, "--plot": plot_file}, inputs, resumed="--json")

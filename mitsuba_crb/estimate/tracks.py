@@ -246,8 +246,7 @@ class _Windows:
         accumulator = InformationAccumulator(batches=run.options.batches, block=run.block)
         image = np.full((height, width), np.nan)
         tensor, variance = np.zeros((height, width, 2, 2)), np.zeros((height, width))
-        for part in run.tiles(pilot=model.depends_on_mean):
-            weights = model.weights(part.pixels, part.expected)
+        for part, weights in run.weighted_tiles(model):
             accumulator.add(part.batch_values, weights, part.pixels)
             x, y = part.pixels.T
             image[y, x] = part.mean.mean(axis=1)

@@ -125,7 +125,8 @@ def validate(
         trials: how many, at least 7.
         perturb_deg: starts are drawn uniformly from the ball of rotations up to this angle [deg].
         perturb_trans: the same for translation [scene unit].
-        sigma: standard deviation of the pixel noise [radiance]; None is 0.01 of the image's white.
+        sigma: standard deviation of the pixel noise [radiance]; None is that of the default camera, which
+            does not saturate here: trials are of Gaussian noise.
         assumed_sigma: the bound's, if it shall be another one: a negative control.
         estimator, levels, iterations: as for `align`.
         confidence: of all bands and intervals.
@@ -199,9 +200,9 @@ def _expected(
         run = run.only()
         if run.view.luminance:
             raise TrialError("the film measures luminance alone; trials need pixel_format rgb")
-        model = run.noise(None if sigma is None else Gaussian(sigma))[0]
-        if not isinstance(model, Gaussian):
-            raise TrialError("trials need Gaussian noise")
+        model = Gaussian(run.exposure.sigma if sigma is None else sigma)
+        if sigma is not None:
+            run.noise(model)  # refuses what does not go with it
         run.warn_of_limits()
         image = np.full((1, *run.mask.shape, 3), np.nan)
         one = Paths(run.options.spp, run.options.seed, 1)

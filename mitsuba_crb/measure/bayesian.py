@@ -72,7 +72,7 @@ def van_trees(
         bound = cramer_rao_bound(prior_average(informations, offsets, run.view.pose), prior=prior)
         provenance = {
             **run.provenance(),
-            "noise": {**model.to_dict(), "description": model.description, "origin": origin},
+            "noise": run.noise_facts(model, origin),
             "draws": draws,
         }
     return dataclasses.replace(bound, provenance=provenance)

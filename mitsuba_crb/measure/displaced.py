@@ -19,7 +19,7 @@ from ..errors import NoiseError, OptionError, RadianceError
 from ..information.accumulate import InformationAccumulator
 from ..information.linearisation import PixelSelection
 from ..information.ustatistic import gram, square_root, whiten
-from ..noise import Gaussian, NoiseModel, PerChannel, PerPixel
+from ..noise import Clipped, Gaussian, NoiseModel, PerChannel, PerPixel
 from ..render.lending import in_turn
 from ..se3 import Array
 from .measurement import Measurement, measurement
@@ -46,7 +46,8 @@ def hcr_bound(
 
     Args:
         scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
-        noise: Gaussian noise that the image does not change; None as for `pose_bound`.
+        noise: Gaussian noise that the image does not change; None as for `pose_bound`. What is clipped at the
+            pose is left out at the displaced ones, too, as by an estimator that has masked it.
         displacements: (m, 6), camera-frame twists; None: both ways along and about the camera's axes, by
             `MOTIONS_PIXELS`. A repetition is found only if one of them meets it, and not in a random subset
             of the pixels, from which the others may differ.
@@ -61,7 +62,7 @@ def hcr_bound(
     with measurement(scene, **options) as run:
         xi = _default(run) if displacements is None else _checked(displacements)
         model, _ = run.noise(noise)
-        if not isinstance(model, Gaussian | PerChannel | PerPixel):
+        if not isinstance(model, Clipped | Gaussian | PerChannel | PerPixel):
             raise NoiseError(
                 f"finite displacements need Gaussian noise with fixed variances, not {type(model).__name__}"
             )
@@ -69,8 +70,7 @@ def hcr_bound(
         sampled = run.selection.kind == "random"
         local = InformationAccumulator(batches=run.options.batches, block=run.block, sampled=sampled)
         sums = _Sums(run.options.batches, len(xi), sampled)
-        for part in run.tiles():
-            weights = model.weights(part.pixels, part.mean)
+        for part, weights in run.weighted_tiles(model):
             local.add(part.batch_values, weights, part.pixels)
             sums.add(part.batch_values, _changes(run, part.pixels, xi), part.mean, weights, part.pixels)
         information = local.information(run.linearisation)

@@ -28,25 +28,17 @@ from ..information.image_jacobian import ImageJacobian
 from ..information.joint import JointAccumulator, JointInformation, tile_side
 from ..information.linearisation import Linearisation, PixelSelection
 from ..jacobian.method import Estimates, Method, Paths, Tile
-from ..noise import CoupledNoise, Gaussian, Luminance, NoiseModel
-from ..noise.colour import REC709
+from ..noise import CoupledNoise, IndependentNoise, Luminance, NoiseModel
 from ..render import llvm
 from ..render.backend import use_mitsuba
-from ..render.random import PILOT
-from ..render.rays import coarse_grid
 from .differences import Differences
+from .expected import PILOT_SPP, ExpectedImage, whole_pilot
+from .exposure import Exposure, Saturation, exposed, start_metering
 from .measurable import Measurable
 from .mitsuba_view import open_measurable
 from .nuisances import Nuisance, name_parameters, nuisance_columns
 from .options import MeasurementKeywords, MeasurementOptions
 from .tile_jacobian import TileJacobian
-
-RELATIVE_SIGMA = 0.01
-"""Standard deviation of the default noise, as a fraction of the image's white."""
-PILOT_SPP = 16
-"""Paths per pixel of a pilot render."""
-
-_PILOT_GRID = 96
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,6 +59,8 @@ class Measurement:
     """What they stand for."""
     differences: Differences = dataclasses.field(default_factory=Differences)
     """What finite differences have measured so far in the method's place."""
+    saturation: Saturation = dataclasses.field(default_factory=Saturation)
+    """How much of what has been measured so far lies above white."""
 
     @property
     def linearisation(self) -> Linearisation:
@@ -125,7 +119,17 @@ class Measurement:
 
     def noise(self, model: NoiseModel | None) -> tuple[NoiseModel, str]:
         """The noise model, checked against the image, and where it came from."""
-        found, origin = (as_noise_model(model), "given") if model is not None else self._default_noise()
+        if model is None:
+            exposure = self.exposure
+            found: NoiseModel = exposure.noise(clip=self.options.clip)
+            origin = exposure.origin
+        else:
+            found, origin = as_noise_model(model), "given"
+            if self.options.exposure is not None or not self.options.clip:
+                raise OptionError(
+                    "--exposure and --no-clip (exposure=, clip=) are of the default noise, and --sigma and "
+                    "--noise (noise=, sigma=) of another; leave out one or the other"
+                )
         if self.view.luminance and not isinstance(found, Luminance):
             if isinstance(found, CoupledNoise):
                 raise NoiseError("coupled noise needs pixel_format rgb; the film measures luminance")
@@ -133,23 +137,35 @@ class Measurement:
         found.check(self.mask.shape[0], self.mask.shape[1], 3)
         return found, origin
 
-    def _default_noise(self) -> tuple[NoiseModel, str]:
-        grid = coarse_grid(self.view.size, _PILOT_GRID).reshape(-1, 2)
-        finish = self.view.start_image(grid, Paths(PILOT_SPP, self.options.seed, 1), purpose=PILOT)
+    @cached_property
+    def exposure(self) -> Exposure:
+        """That of the default camera.
+
+        Raises:
+            NoiseError: the image is black, and no exposure is given.
+        """
+        if isinstance(self.options.exposure, float):
+            return Exposure(self.options.exposure, "given")
+        finish = start_metering(self.view, self.options.seed)
         _ = self.method  # while these paths are traced
-        pilot = finish()
-        if self.view.luminance:
-            pilot = pilot @ np.array(REC709)
-        finite = pilot[np.isfinite(pilot)]
-        white = float(np.percentile(finite, 99.0)) if finite.size else 0.0
-        if not white > 0.0:
+        found = exposed(finish())
+        if found is None:
             raise NoiseError(
                 f"the image is black ({self.view.nothing_visible(black=True)}), so no default noise follows "
                 "from it: give --sigma X (noise.Gaussian(X))"
             )
-        return Gaussian(RELATIVE_SIGMA * white), (
-            f"{RELATIVE_SIGMA:g} of the image's white {white:.3g}, the 99th percentile of a pilot render"
-        )
+        return found
+
+    @cached_property
+    def expected(self) -> ExpectedImage:
+        """What noise may depend on."""
+        return ExpectedImage(self.view, self.options.spp, self.options.seed, self.options.tile)
+
+    def noise_facts(self, noise: NoiseModel, origin: str) -> dict[str, Any]:
+        """What a provenance says of the noise that was measured under, JSON-able."""
+        facts = {**noise.to_dict(), "description": noise.description, "origin": origin}
+        share = self.saturation.share
+        return facts if share is None else {**facts, "saturated": share}
 
     def warn_of_limits(self) -> None:
         """Warn of what the arithmetic does not resolve, and by name of what the method cannot see here."""
@@ -235,8 +251,7 @@ class Measurement:
             values = np.concatenate([part.all_values for part in parts], axis=1)
             accumulator.add_coupled(values, noise, np.concatenate([part.pixels for part in parts]))
             return
-        for part in self.tiles(pilot=noise.depends_on_mean):
-            weights = noise.weights(part.pixels, part.expected)
+        for part, weights in self.weighted_tiles(noise):
             accumulator.add(part.all_values, weights, part.pixels, part.bias)
             self.differences.add(part, weights)
 
@@ -256,12 +271,20 @@ class Measurement:
         self.sum_into(accumulator, noise)
         return accumulator.information(self.linearisation)
 
-    def tiles(self, *, pilot: bool = False) -> Iterator[TileJacobian]:
+    def weighted_tiles(self, noise: IndependentNoise) -> Iterator[tuple[TileJacobian, NDArray[np.float64]]]:
+        """The Jacobian, one tile after the other, and a noise model's weights there."""
+        for part in self.tiles(noise):
+            assert part.weights is not None
+            self.saturation.add(part.expected, noise)
+            yield part, part.weights
+
+    def tiles(self, noise: IndependentNoise | None = None, *, pilot: bool = False) -> Iterator[TileJacobian]:
         """The Jacobian, one tile after the other.
 
         Args:
-            pilot: also render the image by other random numbers, for noise that depends on it: the Jacobian's
-                own has its errors in common with it, which would bias the information.
+            noise: gives the tiles its weights, and a pilot if it depends on the image.
+            pilot: also render the image by other random numbers, for any noise that depends on it: the
+                Jacobian's own has its errors in common with it, which would bias the information.
         """
         done, total, invalid = 0, int(self.mask.sum()), 0
         for pixels, (columns, images, image, causes, step_bias) in self._in_turn():
@@ -270,22 +293,17 @@ class Measurement:
             if self.nuisances:
                 others = nuisance_columns(self.nuisances, self.view, pixels, images, film, self.paths)
             done += len(pixels)
-            expected = self._expected(pixels, image) if pilot else None
-            tile = TileJacobian(
-                values, pixels, image, others, expected, self.view.luminance, causes, step_bias
-            ).finite()
+            needed = pilot or (noise is not None and noise.depends_on_mean)
+            expected = self.expected.of(pixels, image, noise) if needed else None
+            tile = TileJacobian(values, pixels, image, others, expected, causes, step_bias).finite()
+            if noise is not None:
+                tile = dataclasses.replace(tile, weights=noise.weights(tile.pixels, tile.expected))
             invalid += len(pixels) - len(tile.pixels)
             if self.options.on_tile is not None:
                 self.options.on_tile(tile, done, total)
             if self.options.drop_invalid or not invalid:
                 yield tile
         self.check_valid(invalid, total)
-
-    def _expected(self, pixels: NDArray[np.int64], mean: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n, 3), the pilot; where it is not finite, the mean."""
-        paths = Paths(max(PILOT_SPP, self.options.spp), self.options.seed, 1)
-        image = _pilot(self.view, pixels, paths, even=True)
-        return np.where(np.isfinite(image), image, mean)
 
     def _in_turn(self) -> Iterator[tuple[NDArray[np.int64], Estimates]]:
         """Each tile's pixels and what the method says of them.
@@ -315,7 +333,10 @@ def measurement(
     with open_measurable(scene, given, apart=name_parameters(nuisances)) as view:
         method = method_of(view, given.method)
         mask, selection = subset.choose(
-            given.pixels, view.size, given.seed, lambda: _pilot_image(view, given.seed, given.tile)
+            given.pixels,
+            view.size,
+            given.seed,
+            lambda: whole_pilot(view, Paths(PILOT_SPP, given.seed, 1), given.tile),
         )
         side = tile_side(tuple(nuisances), sampled=selection.kind == "random")
         visible = view.visible_depth
@@ -341,21 +362,6 @@ def method_of(view: Measurable, name: str) -> type[Method]:
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise OptionError(f"unknown method {name!r}; {hint}methods: {', '.join(view.methods)}")
     return view.methods[name]
-
-
-def _pilot_image(view: Measurable, seed: int, tile: int) -> NDArray[np.float64]:
-    """(H, W, 3) a pilot render of every pixel."""
-    width, height = view.size
-    image = np.empty((height, width, 3))
-    for part in subset.tiles(np.ones((height, width), dtype=bool), tile):
-        image[part[:, 1], part[:, 0]] = _pilot(view, part, Paths(PILOT_SPP, seed, 1))
-    return image
-
-
-def _pilot(
-    view: Measurable, pixels: NDArray[np.int64], paths: Paths, *, even: bool = False
-) -> NDArray[np.float64]:
-    return np.asarray(view.start_image(pixels, paths, purpose=PILOT, even=even)()[0])
 
 
 def versions() -> dict[str, str]:

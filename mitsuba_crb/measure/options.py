@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 from ..errors import OptionError
 
@@ -36,6 +36,8 @@ class MeasurementKeywords(TypedDict, total=False):
     drop_invalid: bool
     on_tile: Progress | None
     step_pixels: float | None
+    exposure: float | Literal["auto"] | None
+    clip: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +76,10 @@ class MeasurementOptions:
     step_pixels: float | None = None
     """Image motion of a finite-difference step [pixel]; other methods have none. None is the film's own
     (`finite_difference.step_for`): 0.15 with a Gaussian filter, 0.075 with a tent, 0.019 with a box."""
+    exposure: float | Literal["auto"] | None = None
+    """White of the default noise [radiance]; None sets it for all views of a run, "auto" for each."""
+    clip: bool = True
+    """Whether the default noise's camera saturates above white."""
 
     def __post_init__(self) -> None:
         from ..camera import image_size
@@ -103,6 +109,12 @@ class MeasurementOptions:
         step = self.step_pixels
         if step is not None and (not isinstance(step, Real) or not 0.0 < step < float("inf")):
             raise OptionError(f"step_pixels must be positive and finite, or None; got {step!r}")
+        if self.exposure is not None and self.exposure != "auto":
+            if not isinstance(self.exposure, Real) or not 0.0 < self.exposure < float("inf"):
+                raise OptionError(
+                    f"exposure must be a radiance, positive and finite, or 'auto'; got {self.exposure!r}"
+                )
+            object.__setattr__(self, "exposure", float(self.exposure))
         if self.size is not None:
             object.__setattr__(self, "size", image_size(self.size))
 

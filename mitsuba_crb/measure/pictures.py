@@ -14,7 +14,6 @@ from ..information.identifiability import PoseDirection, weakest_direction
 from ..information.pixel_information import along, pixel_information
 from ..information.significance import identified
 from ..information.symmetric import pack
-from ..noise import Gaussian, Luminance
 
 if TYPE_CHECKING:
     from ..information.fisher import FisherInformation
@@ -46,14 +45,9 @@ class Pictures(Record):
 
 
 class Gathering:
-    """Takes tiles as they are measured, keeps of each what `Pictures` need, and composes them.
+    """Takes tiles as they are measured, keeps of each what `Pictures` need, and composes them."""
 
-    Args:
-        noise: the model whose weights give the information; None: unit variance.
-    """
-
-    def __init__(self, noise: IndependentNoise | None = None) -> None:
-        self._noise = noise
+    def __init__(self) -> None:
         self._tiles: list[tuple[npt.NDArray[Any], ...]] = []
 
     def add(
@@ -61,9 +55,7 @@ class Gathering:
         pixels: npt.NDArray[np.integer],
         mean: npt.NDArray[np.float64],
         batch_values: npt.NDArray[np.float64],
-        expected: npt.NDArray[np.float64] | None = None,
-        *,
-        luminance: bool = False,
+        weights: npt.NDArray[np.float64] | None = None,
     ) -> None:
         """Take over some pixels.
 
@@ -71,14 +63,9 @@ class Gathering:
             pixels: (n, 2) columns and rows.
             mean: (n, C) the image there.
             batch_values: (K, n, C, 6) independent estimates of dI/dξ in the camera frame.
-            expected: (n, C) the image by other random numbers, for noise that depends on it; None: `mean`.
-            luminance: the noise is that of one channel, the luminance.
+            weights: (n, C) or (n, C, C), of the noise [1 / radiance²]; None: unit variance.
         """
-        expected = mean if expected is None else expected
-        noise = self._noise
-        if luminance and not isinstance(noise, Luminance):
-            noise = Luminance(Gaussian(1.0) if noise is None else noise)
-        weights = np.ones_like(mean) if noise is None else noise.weights(pixels, expected)
+        weights = np.ones_like(mean) if weights is None else weights
         values = np.mean(batch_values, axis=0).astype(np.float32)
         own = pixel_information(batch_values, weights)
         self._tiles.append((np.array(pixels), mean.astype(np.float32), values, own))
@@ -89,7 +76,6 @@ class Gathering:
         size: tuple[int, int],
         *,
         frame: Literal["camera", "world"] = "camera",
-        variance: float = 1.0,
     ) -> Pictures:
         """Compose what was gathered.
 
@@ -97,7 +83,6 @@ class Gathering:
             information: what became of the same pixels: its pose, length scale and selection.
             size: width and height of the image [pixel].
             frame: of the columns.
-            variance: of the noise where no model was given [radiance²].
         """
         width, height = size
         channels = self._tiles[0][1].shape[1] if self._tiles else 3
@@ -108,7 +93,7 @@ class Gathering:
         weakest = weakest_direction(found, information.pose, information.length_scale)
         selection, length = information.selection, information.length_scale
         diagonal = pack(np.diag(information.scale**2))
-        scale = (selection.total / selection.selected if selection.kind == "random" else 1.0) / variance
+        scale = selection.total / selection.selected if selection.kind == "random" else 1.0
         turn = np.eye(6) if frame == "camera" else se3.adjoint(se3.inverse(information.pose))
         for pixels, mean, values, own in self._tiles:
             x, y = pixels.T
@@ -127,7 +112,8 @@ def pictures_of(
 ) -> Pictures:
     """The pictures of a Jacobian held whole, its columns in the camera frame."""
     jacobian = jacobian.to_frame("camera")
-    gathering = Gathering(noise)
-    gathering.add(jacobian.pixels, jacobian.mean, jacobian.batch_values, jacobian.expected)
+    gathering = Gathering()
+    weights = None if noise is None else noise.weights(jacobian.pixels, jacobian.expected)
+    gathering.add(jacobian.pixels, jacobian.mean, jacobian.batch_values, weights)
     height, width = jacobian.image.shape[:2]
     return gathering.pictures(information, (width, height))

@@ -58,8 +58,8 @@ def pose_bound(
     Args:
         scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`; the last such scene is kept, and traced
             but once as long as its parameters stay.
-        noise: noise model of the measured image; None is Gaussian with 0.01 of the image's white, the 99th
-            percentile of a pilot render.
+        noise: noise model of the measured image; None is that of a camera exposed for the scene, Gaussian
+            with 0.01 of white, above which it is saturated and tells nothing, see `exposure`.
         prior: information known beforehand, see `cramer_rao_bound`.
         nuisances: names of parameters that are not known either, see `nuisance`. The bound's `joint` can
             undo that, and its `if_known` says what each costs.
@@ -97,7 +97,7 @@ def pose_bound(
             warnings.warn(warning.message, warning.category, stacklevel=3)
     provenance = {
         **run.provenance(),
-        "noise": {**model.to_dict(), "description": model.description, "origin": origin},
+        "noise": run.noise_facts(model, origin),
         "noise_inflation": alone.information.noise_inflation,
         "finite_differences": run.differences.to_dict(alone.information),
         "warnings": list(dict.fromkeys(str(warning.message) for warning in caught)),

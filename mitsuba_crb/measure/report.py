@@ -91,7 +91,7 @@ def bound_report(
                 "--exr and --plot (pictures=True) show what each pixel tells, but this noise couples pixels; "
                 "leave them out"
             )
-        gathering = Gathering(noise)
+        gathering = Gathering()
     known = load_prior(prior) if prior else None
     named = dict(defines or {})
     source: Any = SceneFile(scene, named)
@@ -112,9 +112,7 @@ def bound_report(
     shown = None
     if gathering is not None:
         width, height = facts["size"]
-        model = facts["noise"].get("noise", facts["noise"])
-        variance = model["sigma"] ** 2 if noise is None else 1.0
-        shown = gathering.pictures(bound.information, (width, height), frame=frame, variance=variance)
+        shown = gathering.pictures(bound.information, (width, height), frame=frame)
     return BoundReport(dataclasses.replace(bound, provenance=facts), beyond, shown)
 
 
@@ -125,7 +123,7 @@ def _gathered(options: MeasurementKeywords, gathering: Gathering | None) -> Meas
     told = options.get("on_tile")
 
     def on_tile(tile: TileJacobian, done: int, total: int) -> None:
-        gathering.add(tile.pixels, tile.mean, tile.batch_values, tile.expected, luminance=tile.luminance)
+        gathering.add(tile.pixels, tile.mean, tile.batch_values, tile.weights)
         if told is not None:
             told(tile, done, total)
 

@@ -22,12 +22,12 @@ class TileJacobian:
     """(K, n, 3, m) estimates of the derivatives in the nuisance parameters; None without any."""
     pilot: NDArray[np.float64] | None = None
     """(n, 3) the image there by other random numbers; None where no noise depends on it."""
-    luminance: bool = False
-    """Whether the noise is that of one channel, the luminance."""
     causes: NDArray[np.object_] | None = None
     """None, or (n,) why finite differences measured a pixel, None where they did not."""
     step_bias: float = 0.0
     """Relative error that their step may leave in the information of those pixels; without causes, of all."""
+    weights: NDArray[np.float64] | None = None
+    """(n, 3) or (n, 3, 3), those of the noise [1 / radiance²]; None where none was told."""
 
     def finite(self) -> TileJacobian:
         """Without the pixels at which anything is NaN or infinite."""
@@ -43,7 +43,7 @@ class TileJacobian:
 
     def part(self, rows: NDArray[np.bool_]) -> TileJacobian:
         """Some of its pixels (n,)."""
-        others, pilot, causes = self.nuisance_values, self.pilot, self.causes
+        others, pilot, causes, weights = self.nuisance_values, self.pilot, self.causes, self.weights
         return replace(
             self,
             batch_values=self.batch_values[:, rows],
@@ -52,6 +52,7 @@ class TileJacobian:
             nuisance_values=None if others is None else others[:, rows],
             pilot=None if pilot is None else pilot[rows],
             causes=None if causes is None else causes[rows],
+            weights=None if weights is None else weights[rows],
         )
 
     @property

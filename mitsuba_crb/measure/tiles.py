@@ -68,8 +68,8 @@ def tile_information(
         if isinstance(model, CoupledNoise):
             raise SelectionError(correlated_refusal([name]))
         run.warn_of_limits()
-        for part in run.tiles(pilot=model.depends_on_mean):
-            grid.add(part.batch_values, model.weights(part.pixels, part.expected), part.pixels)
+        for part, weights in run.weighted_tiles(model):
+            grid.add(part.batch_values, weights, part.pixels)
         select, report = grid.halves(
             run.linearisation.scale,
             factor=run.selection.total / run.selection.selected if sampled else 1.0,

@@ -24,7 +24,7 @@ from .protocol import Array, ThresholdNoise
 
 _REACH = 9.0
 """Standard deviations beyond which white makes no difference in float64."""
-_FACTOR = 2.0
+_FACTOR = 1.25
 """By which an image of few paths may be wrong and a pixel still be sorted by it."""
 
 
@@ -63,11 +63,15 @@ class Clipped(ThresholdNoise):
         information = ndtr(z) + density * (hazard - z)
         return np.asarray(np.where(z > -_REACH, information, 0.0) / self.sigma**2, dtype=np.float64)
 
-    def near_threshold(self, image: Array) -> NDArray[np.bool_]:
-        """(n,) whether white lies within a factor of two of any channel, or within reach of the noise."""
+    def near_threshold(self, lowest: Array, highest: Array) -> NDArray[np.bool_]:
+        """(n,) whether white lies about between the two of any channel, or within reach of the noise."""
         reach = _REACH * self.sigma
-        near = (_FACTOR * image + reach > self.white) & (image / _FACTOR - reach < self.white)
+        near = (_FACTOR * highest + reach > self.white) & (lowest / _FACTOR - reach < self.white)
         return np.asarray(near.any(axis=1))
+
+    def excess(self, mean: Array) -> Array:
+        """(n, C), what is cut off."""
+        return np.maximum(mean - self.white, 0.0)
 
     def saturated(self, mean: Array) -> NDArray[np.bool_]:
         """(n, C), which lie so far above white that they keep less than half of what they would tell."""

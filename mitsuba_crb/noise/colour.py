@@ -113,11 +113,17 @@ class Luminance(ThresholdNoise):
         information = self.noise.weights(pixels, self._measured(mean)).reshape(-1, 1, 1)
         return np.asarray(information * np.outer(mix, mix), dtype=np.float64)
 
-    def near_threshold(self, image: Array) -> NDArray[np.bool_]:
+    def near_threshold(self, lowest: Array, highest: Array) -> NDArray[np.bool_]:
         """(n,) as the channel's noise; without a threshold, wherever it depends on the mean."""
         if isinstance(self.noise, ThresholdNoise):
-            return self.noise.near_threshold(self._measured(image))
-        return np.full(len(image), self.noise.depends_on_mean)
+            return self.noise.near_threshold(self._measured(lowest), self._measured(highest))
+        return np.full(len(lowest), self.noise.depends_on_mean)
+
+    def excess(self, mean: Array) -> Array:
+        """(n, 1), as the channel's noise."""
+        if isinstance(self.noise, ThresholdNoise):
+            return self.noise.excess(self._measured(mean))
+        return np.zeros((len(mean), 1))
 
     def saturated(self, mean: Array) -> NDArray[np.bool_]:
         """(n, 1), as the channel's noise."""

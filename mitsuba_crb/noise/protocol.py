@@ -104,8 +104,11 @@ class ScalarNoise(IndependentNoise, Protocol):
 class ThresholdNoise(IndependentNoise, Protocol):
     """Independent noise that the mean changes near a threshold alone, so that few pixels need it exactly."""
 
-    def near_threshold(self, image: Array) -> NDArray[np.bool_]:
-        """(n,) where a mean about as large as this (n, C) may make a difference to the weights."""
+    def near_threshold(self, lowest: Array, highest: Array) -> NDArray[np.bool_]:
+        """(n,) where means between about these (n, C) may make a difference to the weights."""
+
+    def excess(self, mean: Array) -> Array:
+        """By how much values lie beyond the threshold, of the shape (n, C) or (n, 1) [radiance]; 0 if not."""
 
     def saturated(self, mean: Array) -> NDArray[np.bool_]:
         """(n, measured channels), which values lie beyond the threshold and tell hardly anything."""

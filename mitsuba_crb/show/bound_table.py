@@ -179,7 +179,12 @@ def _length_scale(length: float) -> str:
 def _noise(noise: dict[str, Any]) -> str:
     sigma, origin = noise.get("sigma"), noise.get("origin")
     named = f"Gaussian, σ = {sigma:.4g}" if sigma is not None else str(noise.get("description", "given"))
-    return f"{named} ({origin})" if origin else named
+    text = named if not origin else f"{named} (given)" if origin == "given" else f"{named}: {origin}"
+    share = noise.get("saturated")
+    if share is None:
+        return text
+    part = f"{100 * share:.2g} % of the values are" if share else "no value is"
+    return f"{text}; {part} saturated, which tells nothing"
 
 
 def pixels_measured(pixels: dict[str, Any]) -> str:

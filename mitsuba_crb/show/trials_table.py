@@ -48,7 +48,7 @@ def print_validation(console: Console, result: Validation, warnings: Iterable[st
         console,
         [
             ("trials", f"{len(result.trials)}, of which {len(result.failed)} failed{more}"),
-            ("noise", f"Gaussian, σ = {settings['sigma']:.4g}"),
+            ("noise", f"Gaussian, σ = {settings['sigma']:.4g}, of a camera that never saturates"),
             ("pixels", pixels_measured(settings["pixels"])),
             ("starts", f"within {settings['perturb_deg']:g} deg, {settings['perturb_trans']:g} scene units"),
             ("estimator", f"{settings['estimator']}, {settings['spp']} paths per pixel"),

@@ -81,7 +81,7 @@ def test_table_says_what_a_person_asks(rendered, capsys):
         "length scale",
         "2.5 scene units",
         "σ = 0.01",
-        "0.01 of the image's white",
+        "0.01 of white 1 (99th percentile)",
         "plain JᵀWJ would have claimed",
         "finite_difference, 64 paths per pixel in 4 batches, seed 0",
         "note: one thing to know",
@@ -89,6 +89,34 @@ def test_table_says_what_a_person_asks(rendered, capsys):
         assert word in out
     assert "PrecisionWarning" not in out
     assert "∞" not in out
+
+
+def test_the_camera_is_exposed_as_asked(rendered, capsys):
+    for arguments, asked in (
+        (("--exposure", "0.5"), (0.5, True)),
+        (("--exposure", "auto", "--no-clip"), ("auto", False)),
+    ):
+        assert cli.run(["bound", "room.xml", *arguments]) == 0
+        assert (rendered.options["exposure"], rendered.options["clip"]) == asked
+    capsys.readouterr()
+    err = refused(capsys, "bound", "room.xml", "--exposure", "bright")
+    assert "neither a radiance, such as 0.8, nor auto" in err
+    for arguments in (
+        ("--exposure", "-1"),
+        ("--exposure", "1", "--sigma", "1"),
+        ("--no-clip", "--sigma", "1"),
+    ):
+        assert "exposure" in refused(capsys, "bound", WALL, "--size", "16x12", "--spp", "4", *arguments)
+
+
+def test_table_and_json_say_what_is_saturated(capsys, tmp_path):
+    file = tmp_path / "bound.json"
+    arguments = ["--size", "16x12", "--spp", "16", "--json", str(file)]
+    assert cli.run(["bound", WALL, *arguments]) == 0
+    noise = json.loads(file.read_text())["noise"]
+    share = f"{100 * noise['saturated']:.2g} % of the values are saturated, which tells nothing"
+    words = f"σ = {noise['sigma']:.4g}: 0.01 of white {noise['white']:.3g} (99th percentile); {share}"
+    assert words in " ".join(capsys.readouterr().out.split())
 
 
 def test_a_command_that_fails_says_what_it_warned_of(rendered, capsys, monkeypatch):
@@ -174,6 +202,8 @@ def test_options_reach_the_library(rendered, capsys, tmp_path):
         "pixels": "random:0.5",
         "drop_invalid": True,
         "integrator": None,
+        "exposure": None,
+        "clip": True,
         "nuisances": ["gain", "fov"],
     }
     assert rendered.defines == {"a": "1", "b": "x=y"}

@@ -187,9 +187,9 @@ def test_information_density_sums_to_the_scaled_trace(kind, fraction):
 
     gathering = Gathering()
     for half in np.array_split(np.arange(len(view.pixels)), 2):
-        gathering.add(view.pixels[half], view.mean[half], view.batch_values[:, half])
-    size = view.image.shape[1::-1]
-    later = gathering.pictures(information, size, variance=synthetic_view.SIGMA**2)
+        weights = np.full(view.mean[half].shape, synthetic_view.SIGMA**-2)
+        gathering.add(view.pixels[half], view.mean[half], view.batch_values[:, half], weights)
+    later = gathering.pictures(information, view.image.shape[1::-1])
     np.testing.assert_allclose(later.information, weighted, rtol=1e-12)
 
 

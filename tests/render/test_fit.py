@@ -234,16 +234,13 @@ def test_pictures_of_a_luminance_film_are_of_its_one_channel(tmp_path: Path) -> 
     luminance = '<string name="pixel_format" value="luminance"/>'
     file = written(tmp_path, sensor(film(16, 16, luminance)))
     for noise in (SIGMA, None):
-        gathering = Gathering(noise)
+        gathering = Gathering()
 
         def on_tile(tile: TileJacobian, *_: int, into: Gathering = gathering) -> None:
-            into.add(tile.pixels, tile.mean, tile.batch_values, luminance=tile.luminance)
+            into.add(tile.pixels, tile.mean, tile.batch_values, tile.weights)
 
         bound = pose_bound(file, noise, spp=64, on_tile=on_tile)
-        sigma = bound.provenance["noise"]["noise"]["sigma"]
-        pictures = gathering.pictures(
-            bound.information, (16, 16), variance=1.0 if noise is not None else sigma**2
-        )
+        pictures = gathering.pictures(bound.information, (16, 16))
         scaled = bound.information.matrix * bound.information.scale[:, None] * bound.information.scale
         assert pictures.information.sum() == pytest.approx(np.trace(scaled), rel=1e-6)
 

@@ -1,0 +1,106 @@
+"""The image that noise depends on, from pilot renders whose errors are not the Jacobian's.
+
+Noise that every mean changes needs a pilot of all pixels, about as dear as the derivatives. Noise that
+changes at a threshold alone (`ThresholdNoise`) does not: a coarse render of the whole image says where the
+threshold may lie within reach, and only there is the pilot traced.
+
+Beside what is many times as bright as white, a few paths decide whether a pixel is saturated, and the few of
+the Jacobian's that hit a lamp would tell thousands of standard deviations where the pilot's missed it. Such
+pixels glare, as in a camera: of what the brightest neighbour exceeds white by, a twentieth is added to them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..information import subset
+from ..jacobian.method import Paths
+from ..noise import IndependentNoise, ThresholdNoise
+from ..render.random import PILOT
+
+if TYPE_CHECKING:
+    from .measurable import Measurable
+
+PILOT_SPP = 16
+"""Paths per pixel of a pilot render, at least."""
+
+_COARSE_SPP = 4
+_REACH = 2  # pixels to each side, of the widest reconstruction filters in use
+_GLARE = 0.05
+
+
+@dataclass(frozen=True)
+class ExpectedImage:
+    """Of a view, by random numbers of its own."""
+
+    view: Measurable
+    spp: int
+    """Paths per pixel of the Jacobian."""
+    seed: int
+    tile: int
+    """Side of the tiles in which the whole image is rendered [pixel]."""
+
+    def of(
+        self, pixels: NDArray[np.int64], mean: NDArray[np.float64], noise: IndependentNoise | None
+    ) -> NDArray[np.float64]:
+        """(n, 3) at some pixels (n, 2); the Jacobian's own `mean` (n, 3) where a pilot is not finite.
+
+        Args:
+            noise: what it is for; None: any, so that every pixel has a full pilot.
+        """
+        if not isinstance(noise, ThresholdNoise):
+            return self._finite(self._pilot(pixels, max(PILOT_SPP, self.spp)), mean)
+        coarse = self.coarse[pixels[:, 1], pixels[:, 0]]
+        lowest, highest = self._neighbourhood(pixels)
+        near = noise.near_threshold(lowest, highest)
+        expected = self._finite(coarse, mean)
+        if near.any():
+            spp = max(PILOT_SPP, self.spp // 4)  # pixels at white are few, and the noise smooths white anyway
+            image = self._finite(self._pilot(pixels[near], spp), mean[near])
+            expected[near] = image + _GLARE * noise.excess(highest[near])
+        return expected
+
+    @cached_property
+    def coarse(self) -> NDArray[np.float64]:
+        """(H, W, 3) the whole image by few paths."""
+        return whole_pilot(self.view, Paths(_COARSE_SPP, self.seed, 1), self.tile, even=True)
+
+    def _neighbourhood(self, pixels: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The least and the largest coarse values (n, 3) within reach of pixels (n, 2), where finite."""
+        width, height = self.view.size
+        lowest, highest = np.full((len(pixels), 3), np.inf), np.zeros((len(pixels), 3))
+        for dy in range(-_REACH, _REACH + 1):
+            for dx in range(-_REACH, _REACH + 1):
+                x = np.clip(pixels[:, 0] + dx, 0, width - 1)
+                y = np.clip(pixels[:, 1] + dy, 0, height - 1)
+                np.fmin(lowest, self.coarse[y, x], out=lowest)
+                np.fmax(highest, self.coarse[y, x], out=highest)
+        return lowest, highest
+
+    def _pilot(self, pixels: NDArray[np.int64], spp: int) -> NDArray[np.float64]:
+        return pilot(self.view, pixels, Paths(spp, self.seed, 1), even=True)
+
+    @staticmethod
+    def _finite(image: NDArray[np.float64], mean: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.where(np.isfinite(image), image, mean)
+
+
+def whole_pilot(view: Measurable, paths: Paths, tile: int, *, even: bool = False) -> NDArray[np.float64]:
+    """(H, W, 3) a pilot render of every pixel."""
+    width, height = view.size
+    image = np.empty((height, width, 3))
+    for part in subset.tiles(np.ones((height, width), dtype=bool), tile):
+        image[part[:, 1], part[:, 0]] = pilot(view, part, paths, even=even)
+    return image
+
+
+def pilot(
+    view: Measurable, pixels: NDArray[np.int64], paths: Paths, *, even: bool = False
+) -> NDArray[np.float64]:
+    """(n, 3) a pilot render of pixels (n, 2), in one batch."""
+    return np.asarray(view.start_image(pixels, paths, purpose=PILOT, even=even)()[0])
