@@ -32,7 +32,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, NonNegativeInt
@@ -65,6 +65,8 @@ class MeasureTable(Table):
     method: str | None = None
     integrator: str | None = None
     drop_invalid: bool | None = None
+    exposure: Annotated[float | Literal["auto"], expected("a radiance, or 'auto'")] | None = None
+    clip: bool | None = None
 
 
 class TilesTable(Table):
@@ -155,7 +157,10 @@ class Team:
         """A member's measurement options; its seed depends on its name, not on its place in the file."""
         words = [self.measure.get("seed", 0), *member.name.encode()]
         seed = int(np.random.SeedSequence(words).generate_state(1, np.uint64)[0])
-        return {**self.measure, "sensor": member.sensor, "pose": member.pose, "seed": seed}
+        options = {**self.measure, "sensor": member.sensor, "pose": member.pose, "seed": seed}
+        if member.noise is not None:  # its camera is another than the default one
+            options = {name: value for name, value in options.items() if name not in ("exposure", "clip")}
+        return options
 
     def transforms(self, poses: Sequence[Array]) -> list[Array]:
         """(4, 4) each, body_from_agent of all members whose cameras are at these poses in the world."""

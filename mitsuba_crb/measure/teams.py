@@ -25,7 +25,10 @@ from ..errors import MitsubaCRBError
 from ..files import Record
 from ..processes import in_processes
 from ..render.backend import same_variant
+from ..render.lending import in_turn
 from ..render.scene import SceneFile
+from .exposure import exposed, start_metering
+from .measurement import measurement
 from .pose import pose_bound
 from .tile_jacobian import TileJacobian
 from .tiles import tile_information
@@ -90,6 +93,7 @@ def fuse_team(team: Team, *, workers: int | None = None, on_agent: Progress | No
     Raises:
         MitsubaCRBError: as `pose_bound` and `fuse`, the agent named.
     """
+    team = _exposed(team, workers)
     bounds, texts = _each(_bound, team, workers, on_agent)
     transforms = team.transforms([bound.information.pose for bound in bounds])
     agents = [
@@ -124,6 +128,7 @@ def select_team(
     Raises:
         MitsubaCRBError: as `tile_information` and `select_tiles`, the agent named.
     """
+    team = _exposed(team, workers)
     measured, texts = _each(_tiles, team, workers, on_agent)
     own, images = zip(*measured, strict=True)
     agents = about_common_body(own, team.transforms([tiles.pose for tiles in own]), variable=team.body)
@@ -156,6 +161,24 @@ def _per_agent(
 ) -> int | Mapping[str, int] | None:
     """A limit for all agents if one was asked for, otherwise each agent's own."""
     return {name: limit for name, limit in own.items() if limit is not None} if asked is None else asked
+
+
+def _exposed(team: Team, workers: int | None) -> Team:
+    """The team with one exposure for all default cameras, from their pooled values, unless it has its own."""
+    metered = tuple(member for member in team.members if member.noise is None)
+    if len(metered) < 2 or team.measure.get("exposure") is not None:
+        return team
+    values, _ = _each(_metered, replace(team, members=metered), workers, None)
+    found = exposed(np.concatenate([part.ravel() for part in values]))
+    if found is None:  # each says for itself why it is black
+        return team
+    return replace(team, measure={**team.measure, "exposure": found.white})
+
+
+@in_turn
+def _metered(job: Job) -> NDArray[np.float64]:
+    with measurement(SceneFile(job.member.scene, job.member.defines), **job.options) as run:
+        return start_metering(run.view, run.options.seed)()
 
 
 class _Outcome(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.text import Text
@@ -35,6 +35,7 @@ def print_fusion(console: Console, team: Team, result: TeamFusion) -> None:
     rows = [("rank", f"{bound.rank} of 6")]
     rows += [("unseen", direction.description) for direction in bound.unobserved]
     rows.append(("length scale", f"{bound.length_scale:.4g} scene units (the largest of the agents')"))
+    rows += _whites([bound.provenance["noise"] for bound in result.bounds])
     print_facts(console, rows)
     print_notes(console, result.warnings)
 
@@ -89,6 +90,16 @@ def print_selection(console: Console, team: Team, result: TeamSelection) -> None
         table.add_row(str(budget), *map(_number, values))
     console.print(table)
     print_notes(console, result.warnings)
+
+
+def _whites(noises: list[dict[str, Any]]) -> list[tuple[str, str]]:
+    """What the agents' cameras are exposed to, of those that saturate."""
+    whites = {noise["white"] for noise in noises if "white" in noise}
+    if not whites:
+        return []
+    if len(whites) == 1:
+        return [("white", f"{min(whites):.3g}, one exposure for all views")]
+    return [("white", f"{min(whites):.3g} to {max(whites):.3g}, an exposure for each view")]
 
 
 def _number(value: float) -> str:

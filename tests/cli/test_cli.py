@@ -101,12 +101,19 @@ def test_the_camera_is_exposed_as_asked(rendered, capsys):
     capsys.readouterr()
     err = refused(capsys, "bound", "room.xml", "--exposure", "bright")
     assert "neither a radiance, such as 0.8, nor auto" in err
-    for arguments in (
-        ("--exposure", "-1"),
-        ("--exposure", "1", "--sigma", "1"),
-        ("--no-clip", "--sigma", "1"),
-    ):
-        assert "exposure" in refused(capsys, "bound", WALL, "--size", "16x12", "--spp", "4", *arguments)
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("bound", "--exposure -1"),
+        ("bound", "--exposure 1 --sigma 1"),
+        ("bound", "--no-clip --sigma 1"),
+        ("validate", "--exposure 1 --sigma 1"),
+    ],
+)
+def test_an_exposure_that_cannot_be_is_refused(capsys, command, words):
+    assert "exposure" in refused(capsys, command, WALL, "--size", "16x12", "--spp", "4", *words.split())
 
 
 def test_table_and_json_say_what_is_saturated(capsys, tmp_path):

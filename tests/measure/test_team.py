@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 import warnings
@@ -351,12 +352,37 @@ class TestSelect:
         assert everything.curve[-1][0] == 8
 
 
+def _exposures(folder: Path, text: str = "", *, noise: str = "") -> list[float | None]:
+    """The white of each of two robots; a noise of its own is that of the second."""
+    file = written(folder, each="noise = 0.01")
+    first, second = file.read_text(encoding="utf-8").split("noise = 0.01\n[[agents]]")
+    whole = f"{first}[[agents]]{second}".replace("noise = 0.01", noise)
+    file.write_text(whole.replace("[measure]\n", f"[measure]\n{text}"), encoding="utf-8")
+    found = fuse_team(load_team(file), workers=1)
+    return [bound.provenance["noise"].get("white") for bound in found.bounds]
+
+
+def test_all_views_of_a_team_have_one_exposure_unless_it_says_otherwise(tmp_path: Path) -> None:
+    one, other = _exposures(tmp_path, 'exposure = "auto"\n')
+    assert one is not None
+    assert other is not None
+    assert abs(np.log(one / other)) > 0.01
+    pooled = _exposures(tmp_path)
+    assert pooled[0] == pooled[1]
+    assert min(one, other) < pooled[0] < max(one, other)  # type: ignore[operator]
+    assert _exposures(tmp_path, "exposure = 0.5\n") == [0.5, 0.5]
+    assert _exposures(tmp_path, 'exposure = "auto"\n', noise="noise = 0.02") == [one, None]
+
+
 def test_every_key_of_the_measurement_is_an_option_s_with_its_type(tmp_path: Path) -> None:
     given = {"size": (32, 24), "spp": 16, "seed": 2, "batches": 8, "method": "flow", "drop_invalid": True}
+    given |= {"exposure": 0.5, "clip": False}
     assert {*given, "integrator"} == set(MeasureTable.model_fields)
     text = f"[measure]\n{''.join(f'{k} = {json.dumps(v)}{chr(10)}' for k, v in given.items())}"
     team = load_team(written(tmp_path, f'{text}integrator = "path"\n'))
-    options = MeasurementOptions(**team.options(team.members[0]))
+    exposing = dataclasses.replace(team.members[0], noise=None)
+    options = MeasurementOptions(**team.options(exposing))
+    assert not {"exposure", "clip"} & set(team.options(team.members[0]))  # its noise is another's
     assert {**given, "integrator": "path", "seed": options.seed} == {
         key: getattr(options, key) for key in MeasureTable.model_fields
     }
