@@ -39,7 +39,8 @@ MIDDLE_GREY = 0.18
 _LIT = 1e-4
 _PERCENTILE = 99.0
 _GRID = 64
-_SPP = 64  # at less, the noise of soft shadows raises the percentile by some per cent
+_SPP = 64
+_BATCHES = 4
 
 
 @dataclass(frozen=True)
@@ -66,30 +67,44 @@ class Exposure:
         return f"{RELATIVE_SIGMA:g} of white {self.white:.3g} ({self.rule})"
 
 
-def exposed(values: NDArray[np.float64]) -> Exposure | None:
-    """The exposure for some of the image's values, of any shape [radiance]; None if all are black."""
-    shown = values[np.isfinite(values) & (values > 0.0)]
-    if not shown.size:
+def exposed(values: NDArray[np.float64], variances: NDArray[np.float64] | None = None) -> Exposure | None:
+    """The exposure for some of the image's values; None if all are black.
+
+    Args:
+        values: of any shape [radiance].
+        variances: of their errors, of the same shape, which spread them and so raise a percentile.
+    """
+    shown = np.isfinite(values) & (values > 0.0)
+    if not shown.any():
         return None
-    lit = shown[shown > _LIT * np.percentile(shown, _PERCENTILE)]
-    whites = {
-        f"{_PERCENTILE:g}th percentile": float(np.percentile(lit, _PERCENTILE)),
-        "log-average": float(np.exp(np.log(lit).mean())) / MIDDLE_GREY,
-    }
+    lit = shown & (values > _LIT * np.percentile(values[shown], _PERCENTILE))
+    logs = np.log(values[lit])
+    mean, top = logs.mean(), np.percentile(logs, _PERCENTILE)
+    if variances is not None and logs.var() > 0.0:
+        bright = lit & (values >= np.median(values[lit]))
+        noise = np.median(variances[bright] / values[bright] ** 2)
+        top = mean + (top - mean) * np.sqrt(max(0.0, 1.0 - noise / logs.var()))
+    whites = {f"{_PERCENTILE:g}th percentile": np.exp(top), "log-average": np.exp(mean) / MIDDLE_GREY}
     rule = min(whites, key=whites.__getitem__)
-    return Exposure(whites[rule], rule)
+    return Exposure(float(whites[rule]), rule)
 
 
 def start_metering(view: Measurable, seed: int) -> Callable[[], NDArray[np.float64]]:
-    """Start to render a coarse grid of pixels; what waits for its values (n, channels) [radiance]."""
+    """Start to render a coarse grid of pixels.
+
+    Returns:
+        What waits for its values [radiance] and the variances of their errors, (2, n, channels).
+    """
     grid = coarse_grid(view.size, _GRID).reshape(-1, 2)
-    finish = view.start_image(grid, Paths(_SPP, seed, 1), purpose=PILOT, even=True)
+    finish = view.start_image(grid, Paths(_SPP, seed, _BATCHES), purpose=PILOT, even=True)
 
-    def values() -> NDArray[np.float64]:
-        image = finish()[0]
-        return np.asarray(image @ np.array(REC709)[:, None] if view.luminance else image)
+    def metered() -> NDArray[np.float64]:
+        image = finish()
+        if view.luminance:
+            image = image @ np.array(REC709)[:, None]
+        return np.stack([image.mean(axis=0), image.var(axis=0, ddof=1) / _BATCHES])
 
-    return values
+    return metered
 
 
 @dataclass

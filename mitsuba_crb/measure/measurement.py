@@ -148,7 +148,7 @@ class Measurement:
             return Exposure(self.options.exposure, "given")
         finish = start_metering(self.view, self.options.seed)
         _ = self.method  # while these paths are traced
-        found = exposed(finish())
+        found = exposed(*finish())
         if found is None:
             raise NoiseError(
                 f"the image is black ({self.view.nothing_visible(black=True)}), so no default noise follows "

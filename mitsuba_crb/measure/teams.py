@@ -169,7 +169,7 @@ def _exposed(team: Team, workers: int | None) -> Team:
     if len(metered) < 2 or team.measure.get("exposure") is not None:
         return team
     values, _ = _each(_metered, replace(team, members=metered), workers, None)
-    found = exposed(np.concatenate([part.ravel() for part in values]))
+    found = exposed(*np.concatenate([part.reshape(2, -1) for part in values], axis=1))
     if found is None:  # each says for itself why it is black
         return team
     return replace(team, measure={**team.measure, "exposure": found.white})

@@ -85,6 +85,20 @@ class TestTheRule:
         values[:10] = 7e-3  # which is
         assert exposed(values).white < 0.05
 
+    def test_the_renders_own_noise_is_not_taken_for_highlights(self) -> None:
+        """Of a plain wall, and of one whose shades spread as the noise does, more than half is undone."""
+        rng = np.random.default_rng(3)
+        error = 0.05
+        for spread in (0.0, 0.05):
+            shades = 0.5 * np.exp(spread * rng.normal(size=20_000))
+            noisy = shades * (1.0 + error * rng.normal(size=shades.shape))
+            found, taken = exposed(noisy, (error * shades) ** 2), exposed(noisy)
+            assert found is not None
+            assert taken is not None
+            off, before = np.log(np.array([found.white, taken.white]) / np.percentile(shades, 99))
+            assert before > 0.03
+            assert abs(off) < 0.5 * before
+
     def test_black_has_none(self) -> None:
         assert exposed(np.zeros((4, 4, 3))) is None
         assert exposed(np.full((4, 4, 3), np.nan)) is None
