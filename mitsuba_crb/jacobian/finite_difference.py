@@ -14,6 +14,7 @@ Source: design section 4.3.
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
@@ -21,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
+from ..errors import BlindSpotWarning
 from ..render.pixels import render_pixels
 from .method import AtOnce, Estimates, Paths
 
@@ -115,8 +117,22 @@ class FiniteDifference:
         step_pixels: float | None = None,
         film_flows: tuple[FilmFlow, ...] = (),
     ) -> Self:
-        """See `Method.open`."""
-        return cls(view, paths, step_for(view.pixel_filter) if step_pixels is None else step_pixels)
+        """See `Method.open`.
+
+        Warns:
+            BlindSpotWarning: a step takes the camera through something that is seen.
+        """
+        step_pixels = step_for(view.pixel_filter) if step_pixels is None else step_pixels
+        step = float(steps_of(view, step_pixels)[:3].max())
+        nearest = float(view.visible_depth.min(initial=np.inf))
+        if nearest <= step:
+            warnings.warn(
+                f"a step of finite differences moves the camera by {step:.3g} scene units, through what is "
+                f"seen at depth {nearest:.3g}: lower step_pixels, or move the camera away from it",
+                BlindSpotWarning,
+                stacklevel=2,
+            )
+        return cls(view, paths, step_pixels)
 
     @classmethod
     def limits(cls, view: View) -> tuple[str, ...]:

@@ -122,6 +122,19 @@ def test_finite_differences_halve_their_bias_fourfold() -> None:
     assert np.all((ratio > 0.1) & (ratio < 0.45))
 
 
+def test_a_step_through_a_surface_is_named() -> None:
+    """A chip before a few pixels, nearer than the step; the wall behind it sets the step."""
+    chip = {
+        "type": "rectangle",
+        "to_world": T().translate([0.001, 0.0, 0.004]).scale(0.0003).rotate([0, 1, 0], 180),
+    }
+    sensor = camera(target=(0, 0, 3)) | {"near_clip": 0.001}
+    options: dict[str, Any] = {"method": "finite_difference", "spp": 4, "size": (16, 12)}
+    with pytest.warns(BlindSpotWarning, match=r"moves the camera by .*through what is seen at depth 0.004"):
+        pose_jacobian(scene(wall=wall(), chip=chip, sensor=sensor), **options)
+    pose_jacobian(scene(wall=wall(), sensor=sensor), **options)  # warnings are errors
+
+
 def test_camera_frame_information_moves_to_the_world_like_left_perturbations() -> None:
     """F from renders at exp(ξ)·x equals the transported F; equal random numbers: 1 % of √(F_ii F_jj)."""
     sensor = camera(origin=(0.5, -0.3, 0.4), target=(0.2, 0.1, 3))
