@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.special import gammaln as log_gamma
-from scipy.special import ndtr, xlogy
+from scipy.special import ndtr, pdtr, xlogy
 
 from ..errors import NoiseError
 from .heteroscedastic import Heteroscedastic
@@ -32,6 +32,8 @@ _BRIGHT = 1000.0  # photo-electrons, the end of the table
 _DARK = 1e-15  # photo-electrons that no exposure collects; less counts as this
 _REACH = 9.0  # standard deviations; what lies farther has a probability below 1e-18
 _STEPS_PER_DECADE = 16
+# More than this follows a Gaussian: its skewness of 1/√λ is worth 0.3 % of the probability three spreads out.
+_GAUSSIAN = 1e6  # photo-electrons
 
 
 @dataclass(frozen=True)
@@ -82,34 +84,39 @@ class PoissonGaussian(ScalarNoise):
         return np.asarray(bounded, dtype=np.float64) / self.gain**2
 
     def spread(self, pixels: NDArray[np.integer], mean: Array) -> Array:
-        """√(aμ + σ²), (n, C)."""
-        return np.sqrt(self.gain * np.maximum(mean, 0.0) + self.read_noise**2)
+        """√(a (μ + a) + σ²), (n, C): in the dark, too, some photons are within reach."""
+        return np.sqrt(self.gain * (np.maximum(mean, 0.0) + self.gain) + self.read_noise**2)
 
     def cumulative(self, thresholds: Array, pixels: NDArray[np.integer], mean: Array) -> tuple[Array, Array]:
-        """Σ_n P(n; λ) Φ(z_n), and its derivative −Σ_n P(n; λ) (Φ(z_n) − Φ(z_{n+1}))/a.
+        """Σ_n P(n; λ) Φ(z_n), and its derivative −Σ_n P(n; λ) (Φ(z_n) − Φ(z_{n+1}))/a, z_n = (t/a − n)/s.
 
-        The sums run over every photon count within reach. Brighter than 1000 photo-electrons it is Gaussian,
-        of variance aμ + σ², whose information differs by less than 1/(2λ).
+        By parts the first is Σ_n P(N ≤ n; λ) (Φ(z_n) − Φ(z_{n+1})), whose terms matter within reach of the
+        threshold rather than of λ: the shorter sum is taken. Thousands of photons are counted, too: their
+        skewness, and a threshold between two of them, change what the tail about white tells by a tenth.
         """
         electrons = np.maximum(np.asarray(mean, dtype=np.float64), 0.0) / self.gain
-        bright = electrons > _BRIGHT
+        bright = electrons > _GAUSSIAN
+        narrow = ~bright & (electrons > self._read**2)
+        wide = ~bright & ~narrow
         P = np.zeros(thresholds.shape)
         D = np.zeros(thresholds.shape)
         if bright.any():
             limit = Heteroscedastic((self.read_noise**2, self.gain))
             P[bright], D[bright] = limit.cumulative(thresholds[bright], pixels, mean[bright])
-        if not bright.all():
-            P[~bright], D[~bright] = self._counted(thresholds[~bright] / self.gain, electrons[~bright])
-        return P, D
+        for part, summed in ((narrow, self._around_threshold), (wide, self._around_mean)):
+            if part.any():
+                P[part], D[part] = summed(thresholds[part] / self.gain, electrons[part][:, None])
+        return P, D / self.gain
 
     def nodes(self, highest: float) -> Array:
-        """Means from 0 to `highest` between which what depends on the mean alone may be interpolated.
+        """Means up to `highest` between which what depends on the mean alone may be interpolated.
 
-        A sixteenth of a standard deviation apart, and denser in the dark.
+        A sixteenth of a standard deviation apart, and denser in the dark. The darkest has no neighbour at 0,
+        where a single photon tells everything.
         """
         electrons = max(highest / self.gain, 1e-3)
-        bright = np.linspace(0.0, np.sqrt(electrons), int(32.0 * np.sqrt(electrons)) + 2) ** 2
-        dark = np.geomspace(1e-6, min(electrons, 1.0), 100)
+        bright = np.linspace(0.0, np.sqrt(electrons), int(32.0 * np.sqrt(electrons)) + 2)[1:] ** 2
+        dark = np.geomspace(1e-10, min(electrons, 1.0), 160)
         return self.gain * np.union1d(bright, dark)
 
     def to_dict(self) -> dict[str, Any]:
@@ -121,20 +128,42 @@ class PoissonGaussian(ScalarNoise):
         """s, the read noise in photo-electrons."""
         return self.read_noise / self.gain
 
-    def _counted(self, thresholds: Array, electrons: Array) -> tuple[Array, Array]:
-        """`cumulative` of values (m,) with thresholds (m, B), both in photo-electrons."""
+    def _around_mean(self, thresholds: Array, electrons: Array) -> tuple[Array, Array]:
+        """`cumulative` of values (m, 1) with thresholds (m, B), both in photo-electrons: Σ P(n) Φ(z_n)."""
         reach = _REACH * np.sqrt(electrons) + _REACH**2 / 2.0
         first = np.floor(np.maximum(electrons - reach, 0.0))
+        last = int(np.ceil(np.max(electrons + reach - first)))
         P, D = np.zeros(thresholds.shape), np.zeros(thresholds.shape)
-        below = ndtr((thresholds - first[:, None]) / self._read)
-        for offset in range(int(np.ceil(np.max(electrons + reach - first))) + 1):
+        for offset in range(last + 1):
             count = first + offset
-            probability = _poisson(count, electrons)[:, None]
-            above = ndtr((thresholds - count[:, None] - 1.0) / self._read)
+            probability = _poisson(count, electrons)
+            z = (thresholds - count) / self._read
+            below = ndtr(z)
             P += probability * below
-            D -= probability * (below - above)
-            below = above
-        return P, D / self.gain
+            D -= probability * (below - ndtr(z - 1.0 / self._read))
+        return P, D
+
+    def _around_threshold(self, thresholds: Array, electrons: Array) -> tuple[Array, Array]:
+        """The same by parts, Σ P(N ≤ n) (Φ(z_n) − Φ(z_{n+1})).
+
+        Terms are as smooth as the read noise: of many, every so manieth tells the sum to 1e-9.
+        """
+        stride = max(1, int(self._read / 1.5))
+        first = np.floor(thresholds - _REACH * self._read)
+        P, D = np.zeros(thresholds.shape), np.zeros(thresholds.shape)
+        cumulated = np.zeros(thresholds.shape)
+        for offset in range(0, int(np.ceil(2.0 * _REACH * self._read)) + 1, stride):
+            count = np.maximum(first + offset, 0.0)
+            probability = np.where(first + offset < 0.0, 0.0, _poisson(count, electrons))
+            if offset and stride == 1:
+                cumulated += probability
+            else:
+                cumulated = np.where(first + offset < 0.0, 0.0, pdtr(count, electrons))
+            z = (thresholds - first - offset) / self._read
+            weight = stride * (ndtr(z) - ndtr(z - 1.0 / self._read))
+            P += weight * cumulated
+            D -= weight * probability
+        return P, D
 
 
 def photon_information(electrons: float, read: float) -> float:
