@@ -9,6 +9,8 @@ nearest symmetric positive semidefinite matrix", 1988.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -29,6 +31,7 @@ def positive_matrix(
     size: int | None = None,
     definite: bool = False,
     cure: str = "",
+    names: Sequence[str] = (),
 ) -> Array:
     """A symmetric positive semi-definite matrix, or a stack of them, checked and made symmetric exactly.
 
@@ -39,6 +42,7 @@ def positive_matrix(
         size: n, of a single matrix; None for a stack, or for any size.
         definite: no eigenvalue may be zero either.
         cure: what to do if one is, for the message.
+        names: of the rows, for the message; by default their numbers from 1.
 
     Raises:
         fault: no numbers, another shape, not finite, not symmetric, or an eigenvalue that is too small.
@@ -60,6 +64,12 @@ def positive_matrix(
             f"{what} is not symmetric: with its diagonal scaled to one, entries differ from their mirror "
             f"images by {np.abs(unit - unit.mT).max():.3g}"
         )
+    zero = np.argwhere(~matrix.any(axis=-1))
+    if definite and len(zero):
+        rows = zero[(zero[:, :-1] == zero[0, :-1]).all(axis=1), -1]  # of the first such matrix of a stack
+        listed = ", ".join(names[row] if names else str(row + 1) for row in rows)
+        which = "it is all zero" if len(rows) == matrix.shape[-1] else f"all is zero in the rows of {listed}"
+        raise fault(f"{what} is not positive definite: {which}{cure and '; '}{cure}")
     smallest = float(np.linalg.eigvalsh(unit).min(initial=1.0))
     if smallest < (DEFINITE if definite else -ROUNDING):
         raise fault(

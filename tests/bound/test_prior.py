@@ -117,3 +117,68 @@ def test_matrices_that_are_no_information_are_named(tmp_path):
         prior_from_dict({"frame": "camera", "covariance": np.diag([1, 1, 1, 1, 1, 0]).tolist()})
     with pytest.raises(PriorError, match=r"a prior must be a table, not \[1\]"):
         prior_from_dict([1])
+
+
+ROW_BY_ROW = [0.1 * (i == j) + 0.01 for i in range(6) for j in range(6)]
+"""A covariance as a ROS message has it."""
+
+
+def test_rows_of_zeros_are_named_and_zeros_are_allowed_in_information():
+    """What a SLAM system publishes of a planar robot; a variance of 1e-9 is taken as it is written."""
+    hessian = np.zeros((6, 6))
+    hessian[np.ix_([0, 1, 5], [0, 1, 5])] = [[2500, 0, 100], [0, 2500, 0], [100, 0, 40000]]
+    table = {"frame": "camera", "covariance": hessian.tolist()}
+    with pytest.raises(PriorError, match=r"rows of z, phi_x, phi_y; give information, in which zeros are al"):
+        prior_from_dict(table)
+    information = prior_from_dict({"frame": "camera", "information": hessian.tolist()})
+    np.testing.assert_array_equal(information.matrix, hessian)
+    one = np.diag([1.0, 1, 1, 1, 0, 1]).tolist()
+    with pytest.raises(PriorError, match="all is zero in the rows of phi_y;"):
+        prior_from_dict({"frame": "world", "covariance": one})
+    tiny = [1e-4, 1e-4, 1e-9, 1e-9, 1e-9, 1e-5]
+    known = prior_from_dict({"frame": "camera", "covariance": np.diag(tiny).tolist()})
+    np.testing.assert_allclose(known.matrix, np.diag(1.0 / np.array(tiny)), rtol=1e-12)
+
+
+@pytest.mark.parametrize("row_by_row", [False, True])
+def test_what_ros_means_by_zeros_and_minus_one_is_said(row_by_row):
+    zeros = np.zeros((6, 6))
+    absent = zeros.copy()
+    absent[0, 0] = -1.0
+    for matrix, message in (
+        (zeros, r"is all zero.*give information.*all zeros in ROS messages: leave the prior out"),
+        (absent, r"begins with -1, by which ROS messages say that there is none: leave the prior out"),
+    ):
+        values = (matrix.ravel() if row_by_row else matrix).tolist()
+        with pytest.raises(PriorError, match=message) as caught:
+            prior_from_dict({"frame": "camera", "covariance": values})
+        assert "\n" not in str(caught.value)
+    nothing = (zeros.ravel() if row_by_row else zeros).tolist()
+    assert not prior_from_dict({"frame": "camera", "information": nothing}).matrix.any()
+
+
+def test_36_numbers_in_a_row_are_6_x_6():
+    square = np.reshape(ROW_BY_ROW, (6, 6)).tolist()
+    for key in ("covariance", "information"):
+        flat, nested = (
+            prior_from_dict({"frame": "camera", key: values}).matrix for values in (ROW_BY_ROW, square)
+        )
+        np.testing.assert_array_equal(flat, nested)
+        with pytest.raises(PriorError, match="a 6 x 6 matrix of numbers, not"):
+            prior_from_dict({"frame": "camera", key: ROW_BY_ROW[:-1]})
+        with pytest.raises(PriorError, match="a 6 x 6 matrix of numbers, not"):
+            prior_from_dict({"frame": "camera", key: [True, *ROW_BY_ROW[1:]]})
+
+
+def test_a_message_in_the_world_is_of_the_centre_and_about_it_not_a_world_twist():
+    """The camera's centre keeps the covariance that it is given; a world twist's is another, far from 0."""
+    table = {"frame": "world", "covariance": ROW_BY_ROW}
+    with pytest.raises(PriorError, match="in the world frame need kind = 'axes' if"):
+        prior_from_dict(table)
+    covariance = np.linalg.inv(prior_from_dict({**table, "kind": "axes"}).in_frame("camera", POSE))
+    world = np.kron(np.eye(2), POSE[:3, :3])
+    np.testing.assert_allclose(world @ covariance @ world.T, np.reshape(ROW_BY_ROW, (6, 6)), atol=1e-12)
+    twist = np.linalg.inv(prior_from_dict({**table, "kind": "twist"}).in_frame("camera", POSE))
+    assert misfit(world @ twist @ world.T, np.reshape(ROW_BY_ROW, (6, 6))) > 0.1
+    with pytest.raises(PriorError, match="kind goes with information or covariance, not with position_std"):
+        prior_from_dict({"frame": "world", "position_std": 1.0, "kind": "axes"})

@@ -116,7 +116,7 @@ def test_photons_codes_tell_the_exact_sum(bits, gain, read):
     codes = noise.Quantisation(2**bits)
     step = codes.white / (codes.levels - 1)
     photons = noise.PoissonGaussian(gain * step, read * step)
-    mean = means(codes, 3.0 * step, 10)
+    mean = means(codes, 3.0 * step, 10 if bits < 8 else 4)
     exact = exact_photons(codes.thresholds, mean, photons.gain, photons.read_noise)
     sensor = noise.Sensor(photons, "before", quantisation=codes)
     assert misfit(weights(sensor, mean), exact) < TOLERANCE

@@ -173,3 +173,19 @@ class TestTheSymmetricRoot:
         values, vectors = np.linalg.eigh(matrix)
         others = np.linalg.eigh(matrix[permuted])[1]
         assert np.abs((vectors[order] - others) * np.sqrt(values)).max() > 0.1
+
+
+@pytest.mark.parametrize("stack", [(), (3, 2)])
+def test_rows_of_zeros_are_named_where_a_matrix_must_be_definite(stack):
+    """Of the first such matrix of a stack; where it may be singular they pass."""
+    matrices = np.broadcast_to(np.eye(4), (*stack, 4, 4)).copy()
+    singular = matrices[1, 1] if stack else matrices
+    singular[[1, 3]] = 0.0
+    check(matrices)
+    for names, rows in (((), "2, 4"), ("wxyz", "x, z")):
+        with pytest.raises(
+            NoiseError, match=f"it is not positive definite: all is zero in the rows of {rows}; mend"
+        ):
+            positive_matrix(matrices, "it", NoiseError, definite=True, cure="mend it", names=names)
+    with pytest.raises(NoiseError, match=r"not positive definite: it is all zero$"):
+        positive_matrix(np.zeros((*stack, 4, 4)), "it", NoiseError, definite=True)
