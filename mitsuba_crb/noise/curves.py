@@ -91,7 +91,9 @@ class Power:
         return np.where(y < knee, y / self._slope, bright)
 
     def to_dict(self) -> dict[str, Any]:
-        """The curve's parameters."""
+        """The curve's parameters; of sRGB its name."""
+        if self == SRGB:
+            return {"curve": "srgb"}
         return {"curve": "power", "gamma": self.gamma, "toe": self.toe, "offset": self.offset}
 
     @property

@@ -15,6 +15,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Callable, Mapping
 from numbers import Real
 from pathlib import Path
@@ -49,6 +50,17 @@ def _numbers(value: Any) -> Any:
         for entry in np.array(value, dtype=object).ravel():
             if isinstance(entry, bool) or not isinstance(entry, Real):
                 raise ValueError
+    return value
+
+
+def _unitless(value: Any) -> Any:
+    """What is no text: codes, percents and decibels are of a scale that only the user knows."""
+    if isinstance(value, str):
+        raise refused(
+            f" must be a number, not {reprlib.repr(value)}: radiance on the film's scale, where a percent of "
+            "white 1 is 0.01; noise of codes 0 to 255 is model = 'sensor' with noise_at = 'after', its curve "
+            "(srgb) and codes / 255"
+        )
     return value
 
 
@@ -119,6 +131,9 @@ Array = Annotated[
 """Nested lists, or the name of a `.npy` file beside the TOML file."""
 Matrix = Annotated[Any, _file_of(read_sparse)]
 """The name of a `.npz` file of `scipy.sparse.save_npz` beside the TOML file."""
+Value = Annotated[float, BeforeValidator(_unitless)]
+"""In units of the measured values."""
+Values = list[Value]
 Shape = Annotated[tuple[int, int], Field(strict=False), expected("height and width in whole pixels")]
 Numbers = list[float]
 
@@ -147,15 +162,15 @@ class QuantisationTable(Table):
 
 
 MODELS: Makers = {
-    "gaussian": (Gaussian, {"sigma": float}),
-    "per_channel": (PerChannel, {"sigmas": Numbers}),
+    "gaussian": (Gaussian, {"sigma": Value}),
+    "per_channel": (PerChannel, {"sigmas": Values}),
     "per_pixel": (PerPixel, {"variance": Array}),
     "clipped": (Clipped, {"sigma": float, "white": float}),
     "colour_blocks": (ColourBlocks, {"covariance": Array}),
-    "heteroscedastic": (Heteroscedastic, {"coefficients": Numbers}),  # variance = c0 + c1 mean + ...
-    "poisson_gaussian": (PoissonGaussian, {"gain": float, "read_noise": float}),
-    "student_t": (StudentT, {"scale": float, "nu": float}),
-    "laplace": (Laplace, {"scale": float}),
+    "heteroscedastic": (Heteroscedastic, {"coefficients": Values}),  # variance = c0 + c1 mean + ...
+    "poisson_gaussian": (PoissonGaussian, {"gain": Value, "read_noise": Value}),
+    "student_t": (StudentT, {"scale": Value, "nu": float}),
+    "laplace": (Laplace, {"scale": Value}),
     "luminance": (Luminance, {"noise": "Noise", "coefficients": (Numbers, REC709)}),
     "sensor": (
         Sensor,

@@ -103,7 +103,8 @@ class Sensor(IndependentNoise):
         """One short phrase for tables."""
         curve = self.curve.to_dict()["curve"]
         codes = "" if self.quantisation is None else f", {self.quantisation.levels} codes"
-        return f"{self.noise.description}, {self.noise_at} a {curve} curve{codes}"
+        article = "an" if curve == "srgb" else "a"
+        return f"{self.noise.description}, {self.noise_at} {article} {curve} curve{codes}"
 
     @property
     def depends_on_mean(self) -> bool:

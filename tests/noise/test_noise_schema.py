@@ -176,6 +176,36 @@ def test_mistakes_are_named_with_what_is_near(table, message):
 
 
 @pytest.mark.parametrize(
+    ("table", "key"),
+    [
+        ({"model": "gaussian", "sigma": "2 DN"}, "sigma"),
+        ({"model": "gaussian", "sigma": "1%"}, "sigma"),
+        ({"model": "per_channel", "sigmas": [0.1, "-40 dB"]}, "entry 2 of sigmas"),
+        ({"model": "poisson_gaussian", "gain": "0.5 DN/e-", "read_noise": 0.1}, "gain"),
+        ({"model": "poisson_gaussian", "gain": 0.1, "read_noise": "2e-"}, "read_noise"),
+        ({"model": "luminance", "noise": {"model": "laplace", "scale": "1 DN"}}, "scale"),
+    ],
+)
+def test_units_are_refused_with_the_scale_that_numbers_are_on(table, key):
+    with pytest.raises(NoiseError) as caught:
+        noise.from_dict(table)
+    message = str(caught.value)
+    assert f"{key} must be a number, not '" in message
+    assert "radiance on the film's scale" in message
+    assert "model = 'sensor' with noise_at = 'after', its curve (srgb) and codes / 255" in message
+    assert "\n" not in message
+
+
+def test_srgb_is_called_so_and_no_other_power_is():
+    for curve, words in ((noise.SRGB, "after an srgb curve"), (noise.Power(2.2), "after a power curve")):
+        sensor = noise.Sensor(noise.Gaussian(0.1), "after", curve)
+        assert sensor.description.endswith(words)
+        assert noise.from_dict(sensor.to_dict()) == sensor
+    spelt_out = noise.Power(2.4, 0.0031308, 0.055)
+    assert spelt_out.to_dict() == {"curve": "srgb"}
+
+
+@pytest.mark.parametrize(
     ("text", "message"),
     [("[noise", "is no TOML"), ("[noize]", "did you mean 'noise'?"), ("", "[noise] needs model = one of")],
 )
