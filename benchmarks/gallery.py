@@ -91,7 +91,8 @@ def compared(path: Path, defines: dict[str, str], target: float, seconds: float)
         step = step_for(view.pixel_filter)
     flow, flow_spp = to_precision(scene, "flow", half, seconds, seed=1)
     # The same noise; other random numbers.
-    table = {key: flow.provenance["noise"][key] for key in ("model", "sigma")}
+    said = {"description", "origin"}
+    table = {key: value for key, value in flow.provenance["noise"].items() if key not in said}
     model = noise.from_dict(table)
     differences, difference_spp = to_precision(
         scene, "finite_difference", half, seconds, seed=2, noise=model, step_pixels=step

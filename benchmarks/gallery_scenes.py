@@ -311,7 +311,7 @@ def media() -> Iterable[Picture]:
         cube = place(scale(0.4), turn(1, 1, 0, 35), ROOM)
         volume = node("medium", medium, inside, "interior")
         return picture(
-            kind, name, wall(), POINT, shape("cube", cube, clear + volume), traced=integrator(traced, 6)
+            kind, name, wall(), POINT, shape("cube", cube, clear + volume), traced=integrator(traced)
         )
 
     thick = floats(scale=2, sigma_t=1) + albedo
