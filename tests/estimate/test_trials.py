@@ -171,9 +171,10 @@ def test_other_versions_are_named_and_not_resumed(tmp_path: Path, monkeypatch: p
 
 
 def test_every_option_that_changes_a_result_is_among_the_settings(tmp_path: Path) -> None:
-    """`tile` bounds memory only, and `on_tile` looks on."""
+    """`tile` bounds memory only, and `on_tile` looks on; `exposure` acts by sigma, and trials never clip."""
     found = validate(textured_wall(), **(OPTIONS | {"spp": 16, "trials": 7}))
-    assert set(measure.MeasurementOptions.__annotations__) - found.settings.keys() == {"tile", "on_tile"}
+    options = set(measure.MeasurementOptions.__annotations__)
+    assert options - found.settings.keys() == {"tile", "on_tile", "exposure", "clip"}
     arguments = inspect.signature(validate).parameters.keys() - found.settings.keys()
     judging = {"trials", "assumed_sigma", "confidence", "workers", "resume", "on_trial", "options"}
     assert arguments == judging
