@@ -349,7 +349,7 @@ def sum_image(
             f"the mean has shape {jacobian.pilot.shape}, but the image is {jacobian.image.shape}"
         )
     weights = noise.weights(jacobian.pixels, jacobian.expected)
-    accumulator.add(jacobian.batch_values, weights, jacobian.pixels)
+    accumulator.add(jacobian.batch_values, weights, jacobian.pixels, jacobian.bias)
 
 
 def as_noise_model(noise: object) -> NoiseModel:

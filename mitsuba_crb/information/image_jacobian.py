@@ -34,6 +34,9 @@ class ImageJacobian(Linearised):
     pilot: Array | None = None
     """(H, W, C) the same image by other random numbers, for noise that depends on it: `image` shares errors
     with the derivatives. None, as of a Jacobian made by hand, takes `image` for free of errors."""
+    bias: Array | None = None
+    """(n,) relative error, of one sign and all pixels' alike, that their information may have by the step of
+    finite differences; None without any."""
     provenance: dict[str, Any] = field(default_factory=dict)
     """How it was computed, JSON-able."""
 
@@ -98,6 +101,7 @@ class ImageJacobian(Linearised):
         # Only where neither side's errors are shared are the difference's independent.
         return dataclass_replace(
             a,
+            bias=None,
             batch_values=a.batch_values - b.batch_values,
             block=lcm(a.block, b.block),
             provenance={"difference": [a.provenance, b.provenance]},
@@ -110,5 +114,6 @@ class ImageJacobian(Linearised):
             self.about(selection=selection),
             batch_values=self.batch_values[:, index],
             pixels=self.pixels[index],
+            bias=None if self.bias is None else self.bias[index],
             provenance={**self.provenance, "pixels": vars(selection).copy()} if self.provenance else {},
         )

@@ -241,7 +241,10 @@ class _Steps:
         change = fine.batch_values - coarse.batch_values
         both = joint_information(
             dataclasses.replace(
-                fine, batch_values=np.concatenate([fine.batch_values, change], axis=-1), parameters=names
+                fine,
+                batch_values=np.concatenate([fine.batch_values, change], axis=-1),
+                parameters=names,
+                bias=None,  # which `left` allows for
             ),
             noise,
         )

@@ -224,18 +224,22 @@ class Measurement:
         measured = np.zeros_like(self.mask)
         place = (np.cumsum(self.mask) - 1).reshape(self.mask.shape)
         values = np.empty((self.options.batches, int(self.mask.sum()), 3, 6 + len(self.parameters)))
+        bias = np.zeros(values.shape[1])
         for part in self.tiles(pilot=pilot):
             x, y = part.pixels.T
             image[y, x], expected[y, x], measured[y, x] = part.mean, part.expected, True
             values[:, place[y, x]] = part.all_values
+            bias[place[y, x]] = 0.0 if part.bias is None else part.bias
+        kept = measured[self.mask]
         return ImageJacobian(
-            batch_values=values if measured[self.mask].all() else values[:, measured[self.mask]],
+            batch_values=values if kept.all() else values[:, kept],
             pixels=subset.selected(measured),
             image=image,
             linearisation=self.linearisation,
             block=self.block,
             parameters=self.parameters,
             pilot=expected if pilot else None,
+            bias=bias[kept] if bias.any() else None,
             provenance=self.provenance(),
         )
 

@@ -161,7 +161,9 @@ def test_the_difference_has_the_errors_of_flow_s_blocks() -> None:
     expected = []
     for block in (BLOCK, 1):
         values = flow.batch_values - reference.batch_values
-        left = fisher_information(dataclasses.replace(flow, batch_values=values, block=block), noise)
+        left = fisher_information(
+            dataclasses.replace(flow, batch_values=values, block=block, bias=None), noise
+        )
         error = np.diag(left.standard_error)
         expected.append(0.5 * error / np.sqrt(np.maximum(np.diag(left.matrix), error) * fd))
     assert row.difference_standard_error == pytest.approx(expected[0], rel=1e-6)

@@ -113,7 +113,8 @@ def test_random_pixels_estimate_the_whole_image() -> None:
     part = pose_bound(textured_wall(), SIGMA, pixels="random:0.25", seed=3, method="finite_difference", spp=8)
     error = np.diag(part.information.standard_error)
     assert np.all(np.abs(np.diag(part.information.matrix - whole.matrix)) < 4 * error)
-    assert np.all(error > 3 * np.diag(whole.standard_error))
+    # Noise alone would make it twice the whole's, of which the step's bias is a part that does not grow.
+    assert np.all(error > 2.5 * np.diag(whole.standard_error))
     every = pose_bound(textured_wall(), SIGMA, pixels="random:1", **FAST).information
     _same(every, whole)
 
