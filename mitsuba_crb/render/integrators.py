@@ -85,8 +85,10 @@ def _loses_light(scene: mi.Scene, integrator: mi.SamplingIntegrator) -> bool:
 
     if integrator.class_name() != "PathIntegrator" or scene.environment() is not None:
         return False
-    flags = (part.flags() for part in contents(scene) if isinstance(part, mi.BSDF))
-    return any(mi.has_flag(f, mi.BSDFFlags.Null) and mi.has_flag(f, mi.BSDFFlags.Smooth) for f in flags)
+    # Hair has both flags, too, but samples no passing.
+    veils = (part for part in contents(scene) if part.class_name() in ("MaskBSDF", "BlendBSDF"))
+    both = (mi.BSDFFlags.Null, mi.BSDFFlags.Smooth)
+    return any(all(mi.has_flag(veil.flags(), flag) for flag in both) for veil in veils)
 
 
 def _made(given: Any) -> mi.Integrator:

@@ -309,6 +309,7 @@ def test_light_that_path_loses_on_masks_is_not_lost_without_a_word() -> None:
         scene(wall=sheet),  # a constant light
         masked | {"integrator": {"type": "prb", "max_depth": 2}},
         scene(wall=wall() | {"bsdf": {"type": "thindielectric"}}, light=lamp),
+        scene(wall=wall() | {"bsdf": {"type": "hair"}}, light=lamp),
     ):
         opened(harmless)  # warnings are errors
 
