@@ -63,6 +63,10 @@ class TracingError(MitsubaCRBError):
     """Mitsuba, or a plugin of it, failed while the scene was traced."""
 
 
+class PrecisionError(MitsubaCRBError):
+    """The camera stands so far from the origin that float32 positions leave no number worth anything."""
+
+
 class RadianceError(MitsubaCRBError):
     """The renderer returned radiance that is not finite."""
 

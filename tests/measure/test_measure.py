@@ -15,11 +15,19 @@ from PIL import Image
 from small_scenes import T, camera, scene, texture, textured_wall, wall
 
 from mitsuba_crb import cramer_rao_bound, fisher_information, pose_bound, pose_jacobian, se3
-from mitsuba_crb.errors import BlindSpotWarning, NoiseError, OptionError, PixelsError, RadianceError
+from mitsuba_crb.errors import (
+    BlindSpotWarning,
+    NoiseError,
+    OptionError,
+    PixelsError,
+    PrecisionError,
+    RadianceError,
+)
 from mitsuba_crb.information.blocks import BLOCK
 from mitsuba_crb.information.joint import joint_information
 from mitsuba_crb.information.linearisation import PixelSelection
 from mitsuba_crb.information.subset import tiles
+from mitsuba_crb.jacobian.finite_difference import steps_of
 from mitsuba_crb.jacobian.lint import precision_findings
 from mitsuba_crb.measure.measurement import measurement, versions
 from mitsuba_crb.noise import (
@@ -169,14 +177,40 @@ def test_moving_scene_and_camera_by_100_m_changes_nothing_in_the_camera_frame() 
     assert np.all(np.abs(np.diag(here.matrix - there.matrix)) < 3 * error)
 
 
-def test_float32_is_named_where_it_is_too_coarse_for_the_derivative() -> None:
+def test_float32_is_named_where_it_is_too_coarse_and_refused_where_numbers_would_be_wrong() -> None:
+    """Both sides of both limits, of the spacing over the finite-difference step."""
     with open_view(textured_wall()) as view:
-        for distance, found in ((100.0, 0), (10_000.0, 1)):
+        step = float(steps_of(view)[:3].min())
+        for ratio, found in ((0.004, 0), (0.018, 1), (0.09, 1), (0.11, None), (4.0, None)):
             pose = np.eye(4)
-            pose[0, 3] = distance
-            findings = precision_findings(dataclasses.replace(view, pose=pose))
-            assert len(findings) == found
-            assert all("nearer to the origin" in text for text in findings)
+            pose[1, 3] = -(2.0 ** (23 + np.floor(np.log2(ratio * step))))
+            spacing = np.spacing(np.float32(abs(pose[1, 3])))
+            scale = spacing / (ratio * step)  # the spacing is a power of two: the view's depth gives way
+            there = dataclasses.replace(view, pose=pose)
+            vars(there)["visible_depth"] = view.visible_depth * scale
+            assert np.spacing(np.float32(abs(pose[1, 3]))) / steps_of(there)[:3].min() == pytest.approx(ratio)
+            if found is None:
+                with pytest.raises(PrecisionError, match="by more than 5 %: subtract what the coordinates"):
+                    precision_findings(there)
+            else:
+                findings = precision_findings(there)
+                assert len(findings) == found
+                assert all("may be wrong by 5 %" in text for text in findings)
+
+
+def test_a_geo_referenced_scene_is_refused_and_the_same_one_about_the_origin_is_not() -> None:
+    """A metre-sized scene in UTM coordinates, where a direction that is unseen would look seen."""
+    move = np.eye(4)
+    move[:3, 3] = [500_000.0, 0.0, 5_400_000.0]
+    far_wall, sensor = wall(texture()), camera()
+    utm = scene(
+        wall=far_wall | {"to_world": T(move) @ far_wall["to_world"]},
+        sensor=sensor | {"to_world": T(move) @ sensor["to_world"]},
+    )
+    with pytest.raises(PrecisionError, match=r"5\.4e\+06 scene units from the origin") as caught:
+        pose_bound(utm, SIGMA, **FAST)
+    assert "\n" not in str(caught.value)
+    assert np.isfinite(pose_bound(textured_wall(), SIGMA, **FAST).position_std).all()
 
 
 def test_scaling_the_scenes_units_scales_the_answer_and_not_the_rank() -> None:
