@@ -209,8 +209,9 @@ def markdown(results: dict[str, Any]) -> str:
         "alone. Differences and combined standard errors are relative, in percent: of F's trace, and of the",
         "diagonal entry (or the trace) worst for its error. Paths are those per pixel of flow, and of",
         "each of the twelve renders. By differences: the share of flow's information that finite differences",
-        f"measured, and why. {len(results)} measurements: {sums}; the median standard error is "
-        f"{100 * np.median(errors):.1f} %.",
+        "measured, and why: where it is 100 %, two runs of one method are compared.",
+        "",
+        f"{len(results)} measurements: {sums}; the median standard error is {100 * np.median(errors):.1f} %.",
         "",
         "| kind | plugin | film | verdict | trace | worst | paths | by differences | it says |",
         "|---|---|---|---|---|---|---|---|---|",
