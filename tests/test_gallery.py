@@ -34,7 +34,7 @@ REFUSED: dict[str, tuple[type[MitsubaCRBError], str]] = {
     "sensor batch": (SensorError, "name one of them"),
     "sensor irradiancemeter": (SensorError, "supported: perspective"),
 }
-REPLACED = ("integrator depth", "integrator ptracer")
+REPLACED = ("integrator depth", "integrator ptracer", "integrator stokes")
 QUICK = ("shape sphere", "emitter spot", "bsdf plastic", "texture volume", "film hdrfilm, luminance")
 
 

@@ -67,6 +67,10 @@ def _names_relative_to(folder: Path) -> Iterator[None]:
         mi.set_file_resolver(before)
 
 
+_UNTRACEABLE = "emitter timed_sunsky is loaded by Mitsuba, but cannot be traced; use sunsky"
+"""Mitsuba 3.9 evaluates what is symbolic there, and no kernel of any scene is traced while one lives."""
+
+
 def load_scene(path: str | os.PathLike[str], /, **defines: str) -> mi.Scene:
     """Load a Mitsuba XML file; `defines` set its `<default>` values.
 
@@ -108,9 +112,8 @@ def as_scene(scene: Any, wanted: Wanted | None = None) -> tuple[mi.Scene, str]:
         if shape.is_mesh() and not shape.face_count():
             raise SceneError(f"mesh {shape.id()} has no faces, which Mitsuba cannot trace; remove it")
     for emitter in loaded.emitters():
-        # Mitsuba 3.9 evaluates what is symbolic there, and no kernel of any scene is traced while it lives.
         if emitter.class_name() == "TimedSunskyEmitter":
-            raise SceneError("emitter timed_sunsky is loaded by Mitsuba, but cannot be traced; use sunsky")
+            raise SceneError(_UNTRACEABLE)
     return loaded, label
 
 
@@ -186,6 +189,9 @@ def _made(parsed: Parsed, wanted: Wanted, file: Path | None) -> Any:
     state, config = parsed.state, mi.parser.ParserConfig(mi.variant())
     if state is None:
         raise SceneError(_named(file or "dict", parsed.faults))
+    # Not by the loaded scene: an error would keep it alive.
+    if any(node.props.plugin_name() == "timed_sunsky" for node in state.nodes):
+        raise SceneError(f"{file or 'dict'}: {_UNTRACEABLE}")
     faults: list[str] = list(parsed.faults)
     notes: list[str] = []
     made: Any = None
