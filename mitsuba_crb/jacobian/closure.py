@@ -19,7 +19,6 @@ side L_bg is taken. Source: design section 4.1.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,9 +49,20 @@ class FilmBlocks:
     @staticmethod
     def of(pixels: Ints) -> FilmBlocks:
         """Of pixels (n, 2)."""
-        row, column = pixels[:, 1] // BLOCK, pixels[:, 0] // BLOCK
-        number, home = np.unique(row << 32 | column, return_inverse=True)
-        return FilmBlocks(home, number)
+        row, column = (pixels[:, axis] // BLOCK for axis in (1, 0))
+        first, left = row.min(initial=0), column.min(initial=0)
+        width = int(column.max(initial=0) - left) + 1
+        place = (row - first) * width + column - left
+        present = np.bincount(place) > 0
+        where = np.flatnonzero(present)
+        number = (where // width + first) << 32 | (where % width + left)
+        return FilmBlocks((np.cumsum(present) - 1)[place], number)
+
+    def part(self, rows: Ints) -> FilmBlocks:
+        """Of some of the pixels, whole blocks of them."""
+        kept = np.zeros(len(self.number), dtype=bool)
+        kept[self.home[rows]] = True
+        return FilmBlocks((np.cumsum(kept) - 1)[self.home[rows]], self.number[kept])
 
     def sum(self, values: Floats) -> Floats:
         """(blocks,) of values (n,)."""
@@ -74,44 +84,62 @@ def suspects(residual: Floats, columns: Floats, image: Floats, blocks: FilmBlock
     """(blocks,) where the flow's terms may not close, and where that would matter.
 
     Args:
-        residual: (K, n, 3) R [1/scene unit].
+        residual: (3, K, n) R, the pixels' numbers beside each other [1/scene unit].
         columns: (K, n, C, 3) the derivative in translation [radiance / scene unit].
         image: (n, C) radiance.
         blocks: of the n pixels.
     """
-    square, error = _squares(residual, blocks)
-    suspect = square > SUSPICION * error
+    suspect = breaches(residual, blocks, SUSPICION)
     if not suspect.any():
         return suspect
-    change = square * blocks.range(image) ** 2
-    return np.asarray(suspect & (change > SHARE**2 * blocks.sum(_square(columns))))
+    rows = np.flatnonzero(suspect[blocks.home])
+    own = blocks.part(rows)
+    change = _square(residual[..., rows], own) * own.range(image[rows]) ** 2
+    size = np.max([_square(c, own) for c in columns[:, rows].transpose(2, 3, 0, 1)], axis=0)
+    suspect[suspect] = change > SHARE**2 * size
+    return suspect
 
 
-def breaches(residual: Floats, blocks: FilmBlocks) -> Bools:
-    """(blocks,) where the flow's terms do not close; `residual` as for `suspects`."""
-    square, error = _squares(residual, blocks)
-    return np.asarray(square > LIMIT * error)
+def breaches(residual: Floats, blocks: FilmBlocks, limit: float = LIMIT) -> Bools:
+    """(blocks,) where U exceeds so many standard errors; `residual` as for `suspects`."""
+    K = residual.shape[1]
+    U = _square(residual, blocks)
+    square = np.sign(U) * (U / limit) ** 2 * (K * (K - 1) / 2.0)
+    found = square > apart(residual, blocks)
+    if found.any():  # the other estimate costs more
+        rows = np.flatnonzero(found[blocks.home])
+        found[found] = square[found] > together(residual[..., rows], blocks.part(rows))
+    return np.asarray(found, dtype=bool)
 
 
-def _squares(residual: Floats, blocks: FilmBlocks) -> tuple[Floats, Floats]:
-    """U of every block, and its standard error where E R = 0."""
-    K = len(residual)
-    centred = residual - residual.mean(axis=0)
-    covariance = np.einsum("kni,knj->nij", centred, centred) / (K - 1)
-    apart = blocks.sum(np.einsum("nij,nij->n", covariance, covariance))
+def _square(values: Floats, blocks: FilmBlocks) -> Floats:
+    """(blocks,) U of values (P, K, n), without the noise's bias."""
+    K = values.shape[1]
+    total = values.sum(axis=1)
+    own = np.einsum("pkn,pkn->n", values, values)
+    return blocks.sum((np.einsum("pn,pn->n", total, total) - own) / (K * (K - 1)))
+
+
+def apart(residual: Floats, blocks: FilmBlocks) -> Floats:
+    """(blocks,) tr(Σ²) as if the pixels' errors were independent."""
+    centred = residual - residual.mean(axis=1, keepdims=True)
+    total = np.zeros(residual.shape[-1])
+    for i, row in enumerate(centred):
+        for j, other in enumerate(centred[: i + 1]):
+            total += (1.0 if i == j else 2.0) * np.einsum("kn,kn->n", row, other) ** 2
+    return blocks.sum(total / (residual.shape[1] - 1) ** 2)
+
+
+def together(residual: Floats, blocks: FilmBlocks) -> Floats:
+    """(blocks,) tr(Σ²) whatever errors pixels have in common: the mean of ((R_k − R_l)·(R_m − R_n))² / 4."""
+    K = residual.shape[1]
+    centred = residual - residual.mean(axis=1, keepdims=True)
     gram = np.empty((K, K, len(blocks.number)))
     for k in range(K):
         for m in range(k + 1):
-            gram[k, m] = gram[m, k] = blocks.sum(np.einsum("ni,ni->n", centred[k], centred[m]))
+            gram[k, m] = gram[m, k] = blocks.sum(np.einsum("pn,pn->n", centred[:, k], centred[:, m]))
     own = np.einsum("kkb->kb", gram)
-    together = (
-        (K - 2) * np.sum(gram**2, axis=(0, 1)) + own.sum(axis=0) ** 2 / (K - 1) - K * np.sum(own**2, axis=0)
-    ) / (K * (K - 2) * (K - 3))
-    variance = 2.0 / (K * (K - 1)) * np.maximum(apart, together)
-    return blocks.sum(_square(residual[:, :, None])), np.sqrt(variance)
-
-
-def _square(values: Floats) -> Floats:
-    """(n,) |E v|² of values (K, n, C, P), over the channels the largest, without the noise's bias."""
-    pairs = list(combinations(values, 2))
-    return np.asarray((sum(np.sum(a * b, axis=-1) for a, b in pairs) / len(pairs)).max(axis=1))
+    return np.asarray(
+        ((K - 2) * np.sum(gram**2, axis=(0, 1)) + own.sum(axis=0) ** 2 / (K - 1) - K * np.sum(own**2, axis=0))
+        / (K * (K - 2) * (K - 3))
+    )

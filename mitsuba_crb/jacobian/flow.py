@@ -179,27 +179,6 @@ class Flow:
         """Relative error that their step may leave in the information of finite differences."""
         return finite_difference.edge_bias(self.view.pixel_filter, self._step_pixels)
 
-    def breaches(self, pixels: NDArray[np.int64]) -> NDArray[np.object_]:
-        """(blocks,) why the flow of the blocks of some pixels (n, 2) does not close, None where it does."""
-        seed = int(np.random.SeedSequence([self.paths.seed, CLOSURE]).generate_state(1, np.uint64)[0])
-        paths = Paths(BATCHES * max(PATHS, self.paths.spp // self.paths.batches), seed, BATCHES)
-        white = replace(self.prepared, tracer=White(), view_term=None, film_flows=())
-        start = filter_and_view_terms(self.view, white, pixels, Black(), paths)
-        nothing = np.zeros((len(pixels), 3))
-        parallax = ParallaxTerm(self.view, self.prepared.contours, pixels, nothing, paths)
-        closing = start()[-1]
-        parallax.launch()
-        residual = np.stack([np.asarray(part).reshape(BATCHES, -1) for part in closing], axis=-1, dtype=float)
-        parallax.wait()
-        rows, _, found = parallax.result()
-        residual[:, rows] += found
-        blocks = FilmBlocks.of(pixels)
-        column, row = blocks.number & 0xFFFFFFFF, blocks.number >> 32
-        edges = self.prepared.contours.samples[row * self.prepared.contours.columns + column] > 0.0
-        causes = np.where(edges, "stacked edges", "unknown").astype(object)
-        causes[~breaches(residual, blocks)] = None
-        return causes
-
     def differences(self, pixels: NDArray[np.int64], count: int) -> NDArray[np.float64]:
         """(batches, n, 3, count) the first columns at pixels (n, 2) by finite differences."""
         depth = first_hits(self.view, pixels)[1]
@@ -248,31 +227,75 @@ class FlowTile:
         self._traced = [[np.asarray(channel) for channel in color] for color in self._colors]
         shape = (self._method.paths.batches, -1)
         self._sums = np.array([np.asarray(part).reshape(shape).mean(axis=0) for part in self._shown])
-        self._residual = np.stack(
-            [np.asarray(part).reshape(shape) for part in self._closing], axis=-1, dtype=np.float64
-        )
+        self._residual = np.array([np.asarray(part).reshape(shape) for part in self._closing], dtype=float)
         self._parallax.wait()
 
-    def result(self) -> Estimates:
-        """All terms together, and finite differences where they do not hold."""
+    def settle(self) -> SettledFlow:
+        """All terms together; blocks that may not close are on their way again."""
         jacobians, images = as_arrays(self._traced, self._method.paths.batches)
         rows, terms, closing = self._parallax.result()
         jacobians[:, rows, :, : terms.shape[-1]] += terms
-        self._residual[:, rows] += closing
+        self._residual[..., rows] += closing.transpose(2, 0, 1)
         # A few weights of a filter with negative lobes may add up to nothing: then the pilot is what is left.
         shown = self._baseline + (self._sums[:3] / np.maximum(self._sums[3], 0.5)).T
         blocks = FilmBlocks.of(self._pixels)
         causes = self._method.unfollowed.causes(self._pixels, blocks)
         suspect = suspects(self._residual, jacobians[..., :3], shown, blocks)
         suspect &= causes == None  # noqa: E711  # an array
-        if suspect.any():
-            causes[suspect] = self._method.breaches(self._pixels[suspect[blocks.home]])
-        causes = causes[blocks.home]
-        columns = self._method.differenced(causes)
+        found = Estimates(jacobians, images, shown, causes[blocks.home])
+        return SettledFlow(self._method, self._pixels, found, suspect[blocks.home])
+
+
+class SettledFlow:
+    """What flow says of some pixels; whether it may is on its way, see `method.SettledTile`."""
+
+    def __init__(
+        self, method: Flow, pixels: NDArray[np.int64], found: Estimates, suspect: NDArray[np.bool_]
+    ) -> None:
+        """Starts to measure again the closure of pixels (n,) that are suspect."""
+        self._method, self._pixels, self._found = method, pixels, found
+        self._again = np.flatnonzero(suspect)
+        if not len(self._again):
+            return
+        seed = int(np.random.SeedSequence([method.paths.seed, CLOSURE]).generate_state(1, np.uint64)[0])
+        paths = Paths(BATCHES * max(PATHS, method.paths.spp // method.paths.batches), seed, BATCHES)
+        white = replace(method.prepared, tracer=White(), view_term=None, film_flows=())
+        own = pixels[self._again]
+        start = filter_and_view_terms(method.view, white, own, Black(), paths)
+        nothing = np.zeros((len(own), 3))
+        self._parallax = ParallaxTerm(method.view, method.prepared.contours, own, nothing, paths)
+        self._closing = start()[-1]
+        self._parallax.launch()
+
+    def wait(self) -> None:
+        """Until it has been measured."""
+        if len(self._again):
+            parts = [np.asarray(part).reshape(BATCHES, -1) for part in self._closing]
+            self._residual = np.array(parts, dtype=np.float64)
+            self._parallax.wait()
+
+    def result(self) -> Estimates:
+        """With finite differences where the flow does not hold."""
+        found, method = self._found, self._method
+        assert found.causes is not None
+        if len(self._again):
+            found.causes[self._again] = self._breaches()
+        columns = method.differenced(found.causes)
         for count in np.unique(columns[columns > 0]):
             rows = np.flatnonzero(columns == count)
-            jacobians[:, rows, :, :count] = self._method.differences(self._pixels[rows], count)
-        return Estimates(jacobians, images, shown, causes, self._method.step_bias)
+            found.columns[:, rows, :, :count] = method.differences(self._pixels[rows], count)
+        return found._replace(step_bias=method.step_bias)
+
+    def _breaches(self) -> NDArray[np.object_]:
+        """Why the flow does not close at each of the suspects, None where it does."""
+        rows, _, closing = self._parallax.result()
+        self._residual[..., rows] += closing.transpose(2, 0, 1)
+        blocks, contours = FilmBlocks.of(self._pixels[self._again]), self._method.prepared.contours
+        column, row = blocks.number & 0xFFFFFFFF, blocks.number >> 32
+        edges = contours.samples[row * contours.columns + column] > 0.0
+        causes = np.where(edges, "stacked edges", "unknown").astype(object)
+        causes[~breaches(self._residual, blocks)] = None
+        return causes[blocks.home]
 
 
 def filter_and_view_terms(

@@ -1,8 +1,8 @@
 """What a way to measure the Jacobian offers.
 
 A method is opened for one view and the pixels that will be asked for, and is then asked for one tile of them
-after the other. A tile goes through `launch`, `wait` and `result`, so that the next one can be prepared, and
-the one before summed up, while its light paths are traced in the background.
+after the other. A tile goes through `launch`, `wait`, `settle`, again `wait`, and `result`, so that the next
+one can be prepared, and those before summed up, while its light paths are traced in the background.
 """
 
 from __future__ import annotations
@@ -55,6 +55,16 @@ class Tile(Protocol):
 
     def launch(self) -> None:
         """Start what runs in the background."""
+
+    def wait(self) -> None:
+        """Until that has ended."""
+
+    def settle(self) -> SettledTile:
+        """Sum up; start in the background what the sums call for."""
+
+
+class SettledTile(Protocol):
+    """What became of some pixels, but for what is still on its way."""
 
     def wait(self) -> None:
         """Until that has ended."""
@@ -125,6 +135,10 @@ class AtOnce:
     def wait(self) -> None:
         """Nothing."""
 
+    def settle(self) -> AtOnce:
+        """Itself."""
+        return self
+
     def result(self) -> Estimates:
         """All of it."""
         return self.work()
@@ -135,4 +149,6 @@ def estimates(method: Method, pixels: Pixels) -> Estimates:
     tile = method.prepare(pixels)
     tile.launch()
     tile.wait()
-    return tile.result()
+    settled = tile.settle()
+    settled.wait()
+    return settled.result()

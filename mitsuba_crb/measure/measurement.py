@@ -15,6 +15,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from functools import cache, cached_property
+from itertools import chain
 from typing import Any, Unpack
 
 import numpy as np
@@ -27,7 +28,7 @@ from ..information.fisher import FisherInformation
 from ..information.image_jacobian import ImageJacobian
 from ..information.joint import JointAccumulator, JointInformation, tile_side
 from ..information.linearisation import Linearisation, PixelSelection
-from ..jacobian.method import Estimates, Method, Paths, Tile
+from ..jacobian.method import Estimates, Method, Paths, SettledTile, Tile
 from ..noise import CoupledNoise, IndependentNoise, Luminance, NoiseModel
 from ..render import llvm
 from ..render.backend import use_mitsuba
@@ -312,20 +313,22 @@ class Measurement:
     def _in_turn(self) -> Iterator[tuple[NDArray[np.int64], Estimates]]:
         """Each tile's pixels and what the method says of them.
 
-        One tile is prepared, and the one before it summed up, while paths are traced.
+        One tile is prepared, and the two before it summed up, while paths are traced.
         """
         running: tuple[NDArray[np.int64], Tile] | None = None
-        for pixels in subset.tiles(self.mask, self.tile):
-            tile = self.method.prepare(pixels)
-            if running is not None:
-                running[1].wait()
-            tile.launch()
-            if running is not None:
-                yield running[0], running[1].result()
-            running = pixels, tile
-        if running is not None:
-            running[1].wait()
-            yield running[0], running[1].result()
+        settled: tuple[NDArray[np.int64], SettledTile] | None = None
+        for pixels in chain(subset.tiles(self.mask, self.tile), (None, None)):
+            tile = None if pixels is None else self.method.prepare(pixels)
+            # To look at arrays is to wait for all that was launched, so before the next tile is.
+            for earlier in (running, settled):
+                if earlier is not None:
+                    earlier[1].wait()
+            if tile is not None:
+                tile.launch()
+            if settled is not None:
+                yield settled[0], settled[1].result()
+            settled = None if running is None else (running[0], running[1].settle())
+            running = None if pixels is None or tile is None else (pixels, tile)
 
 
 @contextlib.contextmanager

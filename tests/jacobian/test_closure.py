@@ -13,7 +13,7 @@ from small_scenes import T, camera, scene, wall
 from mitsuba_crb import pose_bound
 from mitsuba_crb.information.accumulate import InformationAccumulator
 from mitsuba_crb.jacobian import flow
-from mitsuba_crb.jacobian.closure import FilmBlocks, _squares, breaches, suspects
+from mitsuba_crb.jacobian.closure import FilmBlocks, _square, apart, breaches, suspects, together
 from mitsuba_crb.jacobian.finite_difference import BIAS, edge_bias, edge_misfit, order_of, step_for
 from mitsuba_crb.jacobian.silhouettes import Contours
 from mitsuba_crb.noise import Gaussian
@@ -32,51 +32,58 @@ BLOCKS = FilmBlocks.of(GRID)
 @pytest.mark.parametrize("batches", [4, 5, 16])
 def test_u_is_without_bias_and_its_error_is_right_where_pixels_share_noise(batches: int) -> None:
     """2,000 trials of noise that all pixels of a block have in common, and of a breach of 1 in one block."""
-    squares, errors = [], []
+    squares, traces = [], []
     for _ in range(2000):
-        residual = np.ones((batches, 128, 3)) * RNG.normal(size=(batches, 1, 3))
-        residual[:, BLOCKS.home == 1] += 1.0
-        square, error = _squares(residual, BLOCKS)
-        squares.append(square)
-        errors.append(error)
+        residual = np.ones((3, batches, 128)) * RNG.normal(size=(3, batches, 1))
+        residual[..., BLOCKS.home == 1] += 1.0
+        squares.append(_square(residual, BLOCKS))
+        traces.append(together(residual, BLOCKS))
     mean, spread = np.mean(squares, axis=0), np.std(squares, axis=0)
     assert np.all(np.abs(mean - [0.0, 192.0]) < 4.0 * spread / np.sqrt(2000))
-    # Himeno and Yamada's estimate has no bias; the larger of two has some, upwards.
-    assert 0.9 < np.sqrt(np.mean(np.square(errors), axis=0))[0] / spread[0] < 1.5
+    error = np.sqrt(2.0 / (batches * (batches - 1)) * np.mean(traces, axis=0))
+    assert error[0] == pytest.approx(spread[0], rel=0.2)
+    # The control: pixels' errors are not independent here.
+    assert np.mean(apart(residual, BLOCKS)) < 0.1 * np.mean(traces)
 
 
 def test_the_trace_of_the_squared_covariance_is_the_mean_over_disjoint_pairs() -> None:
     """Which is free of the mean: ((R_k − R_l)·(R_m − R_n))² / 4 has the expectation tr(Σ²)."""
     one = FilmBlocks.of(np.array([[0, 0]]))
-    R = RNG.normal(size=(6, 1, 3)) + 5.0
-    # Of a single pixel both estimates are of its own covariance; many equal pixels make the other one small.
-    wide = np.repeat(R, 1, axis=1)
+    R = RNG.normal(size=(6, 3)) + 5.0
     products = [
-        ((R[k, 0] - R[j, 0]) @ (R[m, 0] - R[n, 0])) ** 2 / 4.0
+        ((R[k] - R[j]) @ (R[m] - R[n])) ** 2 / 4.0
         for (k, j), (m, n) in combinations(combinations(range(6), 2), 2)
         if len({k, j, m, n}) == 4
     ]
-    centred = R[:, 0] - R[:, 0].mean(axis=0)
-    apart = np.sum((centred.T @ centred / 5.0) ** 2)
-    _, error = _squares(wide, one)
-    assert error[0] ** 2 == pytest.approx(2.0 / 30.0 * max(apart, np.mean(products)))
+    assert together(R.T[..., None], one)[0] == pytest.approx(np.mean(products))
+    assert apart(R.T[..., None], one)[0] == pytest.approx(np.sum(np.cov(R.T) ** 2))
+
+
+def test_blocks_are_those_of_the_film_in_order() -> None:
+    pixels = np.array([[17, 30], [16, 24], [3, 24], [8, 100]])
+    blocks = FilmBlocks.of(pixels)
+    assert [(number >> 32, number & 0xFFFFFFFF) for number in blocks.number] == [(3, 0), (3, 2), (12, 1)]
+    assert list(blocks.home) == [1, 1, 0, 2]
+    part = blocks.part(np.array([0, 1, 3]))
+    assert list(part.home) == [0, 0, 1]
+    assert list(part.number) == [blocks.number[1], blocks.number[2]]
 
 
 def test_noise_raises_few_suspects_and_no_blame() -> None:
     pixels = np.stack(np.meshgrid(np.arange(256), np.arange(256)), axis=-1).reshape(-1, 2)
     blocks = FilmBlocks.of(pixels)
-    few, many = (RNG.normal(size=(k, len(pixels), 3)) for k in (4, 16))
+    few, many = (RNG.normal(size=(3, k, len(pixels))) for k in (4, 16))
     image = RNG.random((len(pixels), 3))
     columns = RNG.normal(size=(4, len(pixels), 3, 3))
     assert suspects(few, columns, image, blocks).mean() < 0.01
     assert breaches(many, blocks).mean() < 0.002
     # The control: half a standard deviation of one batch, in one block.
-    many[:, blocks.home == 7] += 0.5
+    many[..., blocks.home == 7] += 0.5
     assert breaches(many, blocks)[7]
 
 
 def test_a_breach_that_no_contrast_shows_is_no_suspect() -> None:
-    residual = RNG.normal(size=(4, 128, 3)) + 10.0
+    residual = RNG.normal(size=(3, 4, 128)) + 10.0
     columns = np.ones((4, 128, 3, 3))
     image = RNG.random((128, 1)) * np.ones(3)
     assert suspects(residual, columns, image, BLOCKS).all()
