@@ -4,8 +4,8 @@
 
 Each pixel draws its own offsets v − c_u from a density close to |h| and weighs by h/density, so there is no
 splatting, no weight normalisation and no cut at the film's border; its samples are summed in a fixed order
-inside the kernel, so equal calls give equal bits. Random numbers belong to (seed, purpose, pixel, batch,
-path), whatever tile or subset the pixel is rendered in. Source: design section 4; Pharr et al., PBRT 4e, 8.8.
+inside the kernel, so equal calls give equal bits. Random numbers belong to (seed, purpose, pixel, batch),
+whatever tile or subset the pixel is rendered in. Source: design section 4; Pharr et al., PBRT 4e, 8.8.
 """
 
 from __future__ import annotations
@@ -90,7 +90,8 @@ def render_pixels(
         pixels: (n, 2) columns and rows.
         spp: paths per pixel and batch.
         pose: `world_from_camera`; the view's own if None.
-        even: film offsets from a pixel's own Sobol' points instead of independent ones: still unbiased.
+        even: film offsets from a pixel's own Sobol' points instead of independent ones: still unbiased; and
+            every path in step with its twin of the same seed at another pose.
 
     Returns:
         (batches, n, 3) float64, linear RGB radiance.
@@ -171,17 +172,20 @@ def sum_samples(
         exclude=[view, pixel_filter, sampler, seeds, centre, transform, spp, even],
         label="pixel samples",
     ):
-        # Each path has its own start, however many numbers those before it used: where one of two poses'
-        # paths misses what the other's hits, the paths after it still agree.
-        starts = resumed(sampler, state)
-        own = resumed(sampler, starts.rng.next_uint64())
-        state = starts.rng.state
+        own = resumed(sampler, state)
         if dr.hint(even, mode="scalar"):
+            # Each path has its own start, however many numbers those before it used: where one of two poses'
+            # paths misses what the other's hits, the paths after it still agree.
+            start = own.rng.next_uint64()
+            state = own.rng.state
+            own = resumed(sampler, start)
             offset, weight = pixel_filter.sample(mi.Point2f(*sobol_point(i, seeds)))
         else:
             offset, weight = pixel_filter.sample(own.next_2d())
         aperture = own.next_2d()
         ray, importance = camera_ray(view, centre + mi.Vector2f(offset), aperture)
         total += weight * importance * radiance(view, own, move_ray(ray, transform))
+        if dr.hint(not even, mode="scalar"):
+            state = own.rng.state
         i += 1
     return total
