@@ -123,6 +123,9 @@ REAL = {
 """Scenes by others, by folder."""
 
 
+SMALL = (96, 72)
+
+
 def relit(name: str) -> dict[str, Any]:
     """Shapes and camera of a scene by others under one point light beside the camera.
 
@@ -131,6 +134,10 @@ def relit(name: str) -> dict[str, Any]:
     """
     loaded = mi.load_file(str(OTHERS / name / REAL[name]))
     sensor = loaded.sensors()[0]
+    # The references' films, under the field of view that the object has along x.
+    parameters = mi.traverse(sensor)
+    parameters["film.size"] = mi.ScalarVector2u(*SMALL)
+    parameters.update()
     depth = float(loaded.ray_intersect(sensor.sample_ray(0.0, 0.5, [0.5, 0.5], [0.5, 0.5])[0]).t[0])
     beside = sensor.world_transform() @ mi.Point3f(0.15 * depth, 0.15 * depth, 0.0)
     shapes = {f"shape{i}": shape for i, shape in enumerate(loaded.shapes()) if not shape.is_emitter()}
@@ -302,7 +309,7 @@ ROWS: dict[str, Row] = {
     "rims": Row(before_wall(ball=BIG_BALL, pole=POLE)),
     "shipped_boxes": Row(SHIPPED / "boxes" / "boxes.xml", size=(32, 24)),
     **{
-        f"real_{name}": Row(partial(relit, name), spp=1024, tolerance=0.03, error=0.015, size=(96, 72))
+        f"real_{name}": Row(partial(relit, name), spp=1024, tolerance=0.03, error=0.015, size=SMALL)
         for name in REAL
     },
 }
