@@ -117,24 +117,33 @@ def _is_cut(
 
 def _before_near(view: View, film: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
     """Whether anything lies before the near plane at film points (n, 2) [pixel], and the depth behind it."""
-    import mitsuba as mi
-
     ray, transform, depth = _depth(view, film)
-    to_lens = ray.o.z / ray.d.z
-    before = mi.Ray3f(mi.Point3f(ray.o - to_lens * ray.d), ray.d, to_lens, 0.0, ray.wavelengths)
-    blocked = view.scene.ray_test(move_ray(before, transform))
-    return np.array(blocked, dtype=bool), np.array(depth, dtype=np.float64)
+    return meets_before_near(view, ray, transform), np.array(depth, dtype=np.float64)
 
 
 def _beyond_far(view: View, film: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
     """Whether film points (n, 2) [pixel] see something beyond the far plane only, and the depth before it."""
+    ray, transform, found = _depth(view, film)
+    depth = np.array(found, dtype=np.float64)
+    return meets_anything(view, ray, transform) & ~np.isfinite(depth), depth
+
+
+def meets_before_near(view: View, ray: mi.Ray3f, transform: mi.Transform4f) -> NDArray[np.bool_]:
+    """(n,) whether camera rays of the camera's frame would meet anything before the near plane."""
+    import mitsuba as mi
+
+    to_lens = ray.o.z / ray.d.z
+    before = mi.Ray3f(mi.Point3f(ray.o - to_lens * ray.d), ray.d, to_lens, 0.0, ray.wavelengths)
+    return np.array(view.scene.ray_test(move_ray(before, transform)), dtype=bool)
+
+
+def meets_anything(view: View, ray: mi.Ray3f, transform: mi.Transform4f) -> NDArray[np.bool_]:
+    """(n,) whether camera rays of the camera's frame would meet anything if no far plane ended them."""
     import drjit as dr
     import mitsuba as mi
 
-    ray, transform, depth = _depth(view, film)
     whole = mi.Ray3f(ray.o, ray.d, dr.largest(mi.Float), 0.0, ray.wavelengths)
-    beyond = view.scene.ray_test(move_ray(whole, transform)) & ~dr.isfinite(depth)
-    return np.array(beyond, dtype=bool), np.array(depth, dtype=np.float64)
+    return np.array(view.scene.ray_test(move_ray(whole, transform)), dtype=bool)
 
 
 def _depth(view: View, film: NDArray[np.float64]) -> tuple[mi.Ray3f, mi.Transform4f, mi.Float]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..render.arrays import upload, widened
 from ..render.paths import IntegratorTracer, PathTracer, White
-from ..render.rays import camera_ray, move_ray, opaque_transform
+from ..render.rays import camera_ray, opaque_transform
 from . import lint
 from .silhouettes import first_seen
 from .surfaces import has_contours, surface_key, surfaces
@@ -62,7 +62,6 @@ class Unfollowed:
     @staticmethod
     def of(view: View, tracer: PathTracer | IntegratorTracer | White) -> Unfollowed:
         """Of a view and what traces its paths: `path` and its like pass media by."""
-
         volumes = isinstance(tracer, IntegratorTracer)
         found = {}
         for surface in surfaces(view.scene):
@@ -100,8 +99,7 @@ class Unfollowed:
 
         aperture = mi.Point2f(*(dr.opaque(mi.Float, float(x)) for x in lens))
         ray, _ = camera_ray(self.view, mi.Point2f(*(upload(mi.Float, x) for x in film.T)), aperture)
-        transform, to_lens = opaque_transform(self.view.pose), ray.o.z / ray.d.z
-        world_ray = move_ray(ray, transform)
+        transform = opaque_transform(self.view.pose)
         _, *numbers, _ = first_seen(self.view, ray, transform)
         instance, shape = (np.array(number, dtype=np.int64) for number in numbers)
         # Of an instance whose shapes are not listed its own number is all that is known.
@@ -111,11 +109,7 @@ class Unfollowed:
             own = [key for key, its in self.shapes.items() if its == cause]
             found.append((cause, np.isin(keys[0], own) | np.isin(keys[1], own)))
         if self.far:
-            beyond = mi.Ray3f(world_ray)
-            beyond.maxt = dr.inf
-            found.append((FAR, (shape == 0) & np.array(self.view.scene.ray_test(beyond), dtype=bool)))
+            found.append((FAR, (shape == 0) & lint.meets_anything(self.view, ray, transform)))
         if self.near:
-            before = mi.Ray3f(mi.Point3f(ray.o - to_lens * ray.d), ray.d, to_lens, 0.0, ray.wavelengths)
-            blocked = self.view.scene.ray_test(move_ray(before, transform))
-            found.append((NEAR, np.array(blocked, dtype=bool)))
+            found.append((NEAR, lint.meets_before_near(self.view, ray, transform)))
         return found
