@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..information.accumulate import InformationAccumulator
 from ..information.blocks import BLOCK
 from ..information.fisher import FisherInformation
+from ..jacobian.closure import FilmBlocks
 from .tile_jacobian import TileJacobian
 
 
@@ -34,8 +35,8 @@ class Differences:
         if not rows.any():
             return
         pixels, causes = tile.pixels[rows], tile.causes[rows]
-        block = pixels[:, 1] // BLOCK << 32 | pixels[:, 0] // BLOCK
-        self.blocks.update(causes[np.unique(block, return_index=True)[1]].tolist())
+        first = np.unique(FilmBlocks.of(pixels).home, return_index=True)[1]
+        self.blocks.update(causes[first].tolist())
         self.step_bias = tile.step_bias
         part = InformationAccumulator(batches=len(tile.batch_values), block=BLOCK)
         part.add(tile.batch_values[:, rows], weights[rows], pixels)

@@ -58,9 +58,9 @@ class Measurement:
     """(H, W), the pixels to measure."""
     selection: PixelSelection
     """What they stand for."""
-    differences: Differences = dataclasses.field(default_factory=Differences)
+    differences: Differences = dataclasses.field(default_factory=Differences, init=False)
     """What finite differences have measured so far in the method's place."""
-    saturation: Saturation = dataclasses.field(default_factory=Saturation)
+    saturation: Saturation = dataclasses.field(default_factory=Saturation, init=False)
     """How much of what has been measured so far lies above white."""
 
     @property

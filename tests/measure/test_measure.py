@@ -495,3 +495,13 @@ def test_parts_hold_every_selected_pixel_once_in_whole_blocks(share: float) -> N
         assert max(sizes) <= max(tile**2 // 8, len(together) // 3)
         assert sizes[-1] <= tile**2 // 8 + tile
     assert max(sizes) <= tile**2
+
+
+def test_what_one_pose_has_summed_is_not_another_poses() -> None:
+    """`at` and `only` are measurements of their own."""
+    with measurement(textured_wall(), spp=4, size=(16, 12)) as run:
+        run.information(run.noise(None)[0])
+        assert run.saturation.values
+        for other in (run.at(run.view.pose), run.only()):
+            assert other.saturation.values == 0
+            assert other.differences is not run.differences
