@@ -15,7 +15,8 @@ def estimated(
     """All that it says."""
     mask = np.zeros(view.size[::-1], dtype=bool)
     mask[pixels[:, 1], pixels[:, 0]] = True
-    return estimates(method.open(view, mask, Paths(**paths), step_pixels=step_pixels), pixels)
+    chosen = Paths(**paths)
+    return estimates(method.open(view, mask, chosen.seed, step_pixels=step_pixels), pixels, chosen)
 
 
 def measured(method: type[Method], view: Any, pixels: Any, **options: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -60,6 +60,8 @@ class MeasureTable(Table):
 
     size: Size | None = None
     spp: int | None = None
+    precision: float | None = None
+    max_spp: int | None = None
     seed: NonNegativeInt | None = None
     batches: int | None = None
     method: str | None = None
@@ -151,7 +153,7 @@ class Team:
     measure: dict[str, Any]
     """`MeasurementOptions` of all."""
     tiles: dict[str, Any]
-    """`tile_size`, `form`, `precision` and `rank` of `tile_information`."""
+    """`tile_size`, `form`, `message_precision` and `rank` of `tile_information`."""
 
     def options(self, member: Member) -> dict[str, Any]:
         """A member's measurement options; its seed depends on its name, not on its place in the file."""
@@ -170,6 +172,10 @@ class Team:
             world_from_body = poses[0] @ se3.inverse(np.eye(4) if given[0] is None else given[0])
         body_from_world = se3.inverse(world_from_body)
         return [body_from_world @ p if g is None else g for p, g in zip(poses, given, strict=True)]
+
+
+_OF_TILES = {"size": "tile_size", "precision": "message_precision"}
+"""What a file's keys are called in `tile_information`."""
 
 
 def load_team(path: Path) -> Team:
@@ -196,7 +202,7 @@ def load_team(path: Path) -> Team:
         world_from_body=_pose(table.body.pose, f"{path}: [body]: pose"),
         members=members,
         measure=table.measure.model_dump(exclude_unset=True),
-        tiles={"tile_size" if key == "size" else key: value for key, value in tiles.items()},
+        tiles={_OF_TILES.get(key, key): value for key, value in tiles.items()},
     )
 
 

@@ -45,7 +45,7 @@ _ROTATION_NAMES = ("pitch", "yaw", "roll")
 
 
 # Rows are linear functionals of the scaled camera-frame twist.
-_TURN = np.degrees(np.hstack([np.zeros((3, 3)), np.eye(3)]))
+TURN = np.degrees(np.hstack([np.zeros((3, 3)), np.eye(3)]))
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ class PoseBound(Record):
         """
         if which not in ("position", "rotation"):
             raise OptionError(f"there is no ellipsoid {which!r}; expected 'position' or 'rotation'")
-        functionals = _position(self.inverse) if which == "position" else _TURN
+        functionals = position_functionals(self.inverse) if which == "position" else TURN
         semi_axes, directions = self.inverse.ellipsoid(functionals)
         return sigma * semi_axes, directions
 
@@ -198,7 +198,7 @@ def cramer_rao_bound(
     if prior is not None and not isinstance(prior, FisherInformation | PosePrior):
         prior = positive_matrix(prior, "the prior's information", OptionError, size=6)
     inverse = Inverse(information, prior)
-    position, turn, twist = _position(inverse), _TURN, _twist(inverse, information.frame)
+    position, turn, twist = position_functionals(inverse), TURN, _twist(inverse, information.frame)
     position_covariance, rotation_covariance = inverse.covariance(position), inverse.covariance(turn)
     with np.errstate(invalid="ignore"):
         position_std = np.sqrt(np.diagonal(position_covariance))
@@ -270,7 +270,7 @@ def _twist(inverse: Inverse, frame: Frame) -> Array:
     return twist if frame == "camera" else se3.adjoint(inverse.total.pose) @ twist
 
 
-def _position(inverse: Inverse) -> Array:
+def position_functionals(inverse: Inverse) -> Array:
     """(3, 6), world axes: the camera centre moves by R ρ."""
     return np.hstack([inverse.length_scale * inverse.total.pose[:3, :3], np.zeros((3, 3))])
 

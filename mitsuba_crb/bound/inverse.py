@@ -100,6 +100,14 @@ class Inverse:
         with np.errstate(invalid="ignore"):
             return np.where(np.isfinite(std), variance_error / (2.0 * std), np.nan)
 
+    def sensitivity(self, functionals: Array) -> tuple[Array, Array]:
+        """b = M a (m, 6) of the columns in the camera frame, unscaled, and aᵀ M a (m,): δ(σ²) = −bᵀ δF b.
+
+        With the noise's floor as the information of what is not seen, so that everything is finite.
+        """
+        vectors = functionals @ self.tilted @ self.tilted.T
+        return self.scale * vectors, np.asarray(np.sum(functionals * vectors, axis=1))
+
     def seen_covariance(self, functionals: Array) -> Array:
         """(m, m), of the inverse restricted to everything that is seen."""
         U = np.linalg.svd(self.open, full_matrices=True)[0][:, self.open.shape[1] :]

@@ -127,7 +127,9 @@ def view_options(
     pixels: str | None,
     drop_invalid: bool,
     integrator: str | None,
-    spp: int,
+    spp: int | None,
+    precision: float | None = None,
+    max_spp: int | None = None,
     seed: int,
     batches: int,
 ) -> dict[str, Any]:
@@ -140,6 +142,8 @@ def view_options(
         "drop_invalid": drop_invalid,
         "integrator": integrator,
         "spp": spp,
+        "precision": precision,
+        "max_spp": max_spp,
         "seed": seed,
         "batches": batches,
     }

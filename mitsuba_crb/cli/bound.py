@@ -16,10 +16,12 @@ from .options import (
     Exposure,
     Integrator,
     JsonFile,
+    MaxSpp,
     Method,
     NoClip,
     Pixels,
     Pose,
+    Precision,
     Scene,
     Seed,
     Sensor,
@@ -36,7 +38,9 @@ def bound(
     sensor: Sensor = "0",
     pose: Pose = None,
     method: Method = MeasurementOptions.method,
-    spp: Spp = MeasurementOptions.spp,
+    spp: Spp = None,
+    precision: Precision = None,
+    max_spp: MaxSpp = None,
     seed: Seed = MeasurementOptions.seed,
     batches: Batches = MeasurementOptions.batches,
     size: Size = None,
@@ -98,8 +102,11 @@ def bound(
     ] = None,
     variant: Variant = None,
     debug: Debug = False,
-) -> None:
-    """The Cramér–Rao bound on the camera's pose."""
+) -> int:
+    """The Cramér–Rao bound on the camera's pose.
+
+    Exit code 130 if it was interrupted; the answer is then that of the rounds before.
+    """
     with foreseen(debug, variant):
         from ..export.targets import check_targets
         from .arguments import (
@@ -119,6 +126,8 @@ def bound(
             drop_invalid=drop_invalid,
             integrator=integrator,
             spp=spp,
+            precision=precision,
+            max_spp=max_spp,
             seed=seed,
             batches=batches,
         )
@@ -134,7 +143,7 @@ def bound(
         from ..measure.report import bound_report
         from ..show.bound_table import print_report
 
-        with measuring() as (advance, _):  # the bound's provenance repeats the warnings
+        with measuring() as (bar, _):  # the bound's provenance repeats the warnings
             report = bound_report(
                 scene,
                 noise,
@@ -146,7 +155,8 @@ def bound(
                 displacements=twists,
                 pictures=bool(exr_file or plot_file),
                 method=method,
-                on_tile=lambda _, done, total: advance(done, total),
+                on_progress=bar,
+                on_round=bar.after,
                 **options,
             )
         with answered(lambda to: print_report(to, report)):
@@ -158,3 +168,4 @@ def bound(
                 from ..show.bound_page import write_plot
 
                 write_plot(plot_file, report.bound, report.pictures)
+        return 130 if report.bound.provenance.get("sampling", {}).get("interrupted") else 0

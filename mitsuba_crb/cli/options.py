@@ -18,7 +18,26 @@ Pose = Annotated[
     ),
 ]
 Method = Annotated[str, typer.Option(metavar="M", help="How the Jacobian is measured.")]
-Spp = Annotated[int, typer.Option(metavar="N", help="Paths per pixel over all batches.")]
+Spp = Annotated[
+    int | None,
+    typer.Option(metavar="N", help="Paths of every pixel, over all batches, in place of a precision."),
+]
+Precision = Annotated[
+    float | None,
+    typer.Option(
+        metavar="P",
+        help="Relative standard error that every standard deviation should have; paths go where they are "
+        "needed. Default: 0.05.",
+    ),
+]
+MaxSpp = Annotated[
+    int | None,
+    typer.Option(
+        "--max-spp",
+        metavar="N",
+        help="Most paths per pixel, on average; default: 67 million in all.",
+    ),
+]
 Seed = Annotated[int, typer.Option(metavar="N", help="Of all random numbers; same seed, same bits.")]
 Batches = Annotated[int, typer.Option(metavar="N", help="Independent estimates, at least 4.")]
 Sigma = Annotated[

@@ -15,6 +15,8 @@ from ..errors import MitsubaCRBError
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from ..show.terminal import Bar
+
 
 def complain(message: str) -> None:
     """Say one line on standard error, whatever a file has put into the message."""
@@ -42,7 +44,7 @@ def foreseen(debug: bool, variant: str | None = None) -> Iterator[None]:
 
 
 @contextmanager
-def measuring() -> Iterator[tuple[Callable[[int, int], None], list[str]]]:
+def measuring() -> Iterator[tuple[Bar, list[str]]]:
     """Measure under a bar of progress; yields what moves it, and what will hold the warnings, each once.
 
     Nothing is printed Python's way; what fails has its warnings said.

@@ -89,7 +89,7 @@ class Misfit:
     def anchor(self, pose: Array) -> Anchor:
         """A render of many paths from here."""
         run = self.run
-        paths = Paths(ANCHOR_SPP * run.options.spp, run.options.seed + 1, run.options.batches)
+        paths = Paths(ANCHOR_SPP * run.options.uniform_spp, run.options.seed + 1, run.options.batches)
         batches = np.full((paths.batches, *run.mask.shape, 3), np.nan)
         values = run.render(self.pixels, _RENDER, paths=paths, pose=pose)
         batches[:, self.pixels[:, 1], self.pixels[:, 0]] = values

@@ -195,7 +195,8 @@ def _expected(
     scene: Any, sigma: float | None, options: MeasurementKeywords
 ) -> tuple[Anchor, ImageJacobian, float, dict[str, str]]:
     """The anchor at the truth, the Jacobian there, the noise, and what scene and integrator are called."""
-    many: MeasurementKeywords = {**options, "spp": _EXPECTED_SPP * options["spp"]}
+    given = MeasurementOptions(**options).uniform_spp
+    many: MeasurementKeywords = {**options, "spp": _EXPECTED_SPP * given}
     with measurement(scene, **many) as run:
         run = run.only()
         if run.view.luminance:
@@ -205,7 +206,7 @@ def _expected(
             run.noise(model)  # refuses what does not go with it
         run.warn_of_limits()
         image = np.full((1, *run.mask.shape, 3), np.nan)
-        one = Paths(run.options.spp, run.options.seed, 1)
+        one = Paths(run.options.uniform_spp, run.options.seed, 1)
         image[0, run.mask] = run.render(selected(run.mask), _EXPECTED, paths=one)[0]
         jacobian = run.jacobian()
         valid = np.isfinite(image[0]).all(axis=2) & np.isfinite(jacobian.image).all(axis=2)

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import NoiseError, OptionError, PixelsError, RadianceError
 from ..noise import CoupledNoise, NoiseModel
 from ..se3 import Array
+from .block_variance import BlockProducts
 from .blocks import in_squares
 from .coupled import CoupledComponents, ordered_products
 from .fisher import FisherInformation
@@ -98,6 +99,7 @@ class InformationAccumulator:
         sampled: bool = False,
         columns: int = 6,
         coupled: bool = False,
+        kept: BlockProducts | None = None,
     ) -> None:
         """Start from nothing.
 
@@ -108,6 +110,7 @@ class InformationAccumulator:
             sampled: also sum what the sampling variance of a random pixel subset needs (slower).
             columns: P, six of the twist and one for each nuisance parameter.
             coupled: the noise is correlated between pixels: `add_coupled` takes the place of `add`.
+            kept: where to keep what each unit contributes.
 
         Raises:
             OptionError: fewer than four batches.
@@ -131,6 +134,7 @@ class InformationAccumulator:
         self._bias = np.zeros(entries(columns))
         components = CoupledComponents if coupled else SampledComponents if sampled else VarianceComponents
         self._units = components(batches, columns)
+        self._kept = self._units.kept = kept
 
     def add(
         self,
@@ -182,6 +186,8 @@ class InformationAccumulator:
             part = part if in_order else order[part]
             whitened = whiten(values[:, part], root[part])
             own = starts[low : high + 1] - starts[low]
+            if self._kept is not None:
+                self._kept.corners(positions[order[starts[low:high]]])
             if isinstance(self._units, SampledComponents):
                 self._sum += self._units.add(whitened, own)
                 self._plain += gram(whitened.mean(axis=1).mT).sum(axis=0)
@@ -220,6 +226,8 @@ class InformationAccumulator:
             columns.mean(axis=2).reshape(n * C, P).T @ solved.mean(axis=2).reshape(n * C, P)
         )
         for low in range(0, len(starts) - 1, _CHUNK):
+            if self._kept is not None:
+                self._kept.corners(positions[order[starts[low : min(low + _CHUNK, len(starts) - 1)]]])
             units = [
                 ordered_products(
                     columns[start:stop].reshape(1, -1, K, P), solved[start:stop].reshape(1, -1, K, P)

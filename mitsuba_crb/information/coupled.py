@@ -38,6 +38,8 @@ class CoupledComponents(VarianceComponents):
 
     def add(self, h: Array) -> Array:
         """Add units with products h (K, K, E, units), the diagonal unused; returns their F̂ (E, units)."""
+        if self.kept is not None:
+            self.kept.add(h)
         K = self._batches
         mean = (h.sum(axis=(0, 1)) - np.einsum("kkeu->eu", h)) / (K * (K - 1))
         # Coefficients of F Fᵀ cancel in both covariances, so F̂ may be taken off beforehand.

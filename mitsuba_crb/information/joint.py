@@ -34,6 +34,7 @@ from ..errors import FrameError, NuisanceError, OptionError, PixelsError
 from ..noise import CoupledNoise, NoiseModel
 from ..se3 import Array
 from .accumulate import InformationAccumulator, Sums, as_noise_model, sum_image
+from .block_variance import BlockProducts
 from .blocks import BLOCK
 from .fisher import FisherInformation
 from .identifiability import FLOAT32_FLOOR
@@ -116,10 +117,21 @@ class JointInformation(Linearised):
         undecided = [name for name in self.names if name not in self.treatment]
         if undecided:
             raise NuisanceError(f"say of {', '.join(undecided)} whether to marginalize() or to fix() it")
-        unknown = [name for name in self.names if self.treatment[name] == "marginalized"]
-        sums = self.sums[frozenset(unknown) & frozenset(self.per_tile)]
-        G = _eliminate(sums, [6 + k for k, name in enumerate(self.parameters) if name in unknown])
-        return sums.transform(G).information(self.linearisation)
+        return self._unknown_sums.transform(self.elimination).information(self.linearisation)
+
+    @property
+    def elimination(self) -> Array:
+        """(6 + m, 6) G, see above, of what is unknown."""
+        unknown = [6 + k for k, name in enumerate(self.parameters) if name in self._unknown]
+        return _eliminate(self._unknown_sums, unknown)
+
+    @property
+    def _unknown(self) -> list[str]:
+        return [name for name in self.names if self.treatment.get(name) == "marginalized"]
+
+    @property
+    def _unknown_sums(self) -> Sums:
+        return self.sums[frozenset(self._unknown) & frozenset(self.per_tile)]
 
     @property
     def unseen(self) -> tuple[str, ...]:
@@ -179,10 +191,17 @@ class JointAccumulator:
             if _side_of(name) is not None
         }
         count = 6 + len(parameters) - sum(map(len, self._local.values()))
+        self.kept = BlockProducts(batches, count)
+        """What each unit contributes, with all per-tile nuisances unknown."""
         subsets = chain.from_iterable(combinations(self._local, r) for r in range(len(self._local) + 1))
         self._parts = {
             frozenset(subset): InformationAccumulator(
-                batches=batches, block=block, sampled=sampled, columns=count, coupled=coupled
+                batches=batches,
+                block=block,
+                sampled=sampled,
+                columns=count,
+                coupled=coupled,
+                kept=self.kept if len(subset) == len(self._local) else None,
             )
             for subset in subsets
         }

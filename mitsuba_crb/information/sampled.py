@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..se3 import Array
+from .block_variance import BlockProducts
 from .symmetric import entries, positive_part
 from .ustatistic import VarianceComponents, disjoint_products, gram, pixel_products
 
@@ -31,6 +32,15 @@ class SampledComponents:
         # Q + V of pixels alone in their unit; Q of the others, and ΣF̂F̂ᵀ of their units.
         self._of_alone, self._disjoint, self._of_others = np.zeros((3, *(entries(columns),) * 2))
         self._memory = np.empty((batches * (batches - 1) // 2, entries(columns), 0))
+
+    @property
+    def kept(self) -> BlockProducts | None:
+        """See `VarianceComponents`."""
+        return self._units.kept
+
+    @kept.setter
+    def kept(self, products: BlockProducts | None) -> None:
+        self._alone.kept = self._units.kept = products
 
     def add(self, whitened: Array, starts: NDArray[np.intp]) -> Array:
         """Add units of one pixel each, of two each, or of more; returns the sum of their F̂ (E,).

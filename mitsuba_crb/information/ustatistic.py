@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from ..errors import NoiseError
 from ..noise.covariance import ROUNDING, symmetric_root
 from ..se3 import Array
+from .block_variance import BlockProducts
 from .symmetric import entries, pack, positive_part, symmetrised
 
 # Rows of one BLAS call. Larger products wake BLAS's threads, whose barrier costs milliseconds on a busy
@@ -42,6 +43,9 @@ _ROWS = 128
 class VarianceComponents:
     """Sums of squares over units, and the covariance of the sum of their F̂."""
 
+    kept: BlockProducts | None = None
+    """Where the units' products are kept, too."""
+
     def __init__(self, batches: int, columns: int = 6) -> None:
         self._batches = batches
         self._linear = np.zeros((entries(columns),) * 2)
@@ -49,6 +53,8 @@ class VarianceComponents:
 
     def add(self, h: Array) -> Array:
         """Add units with products h (pairs k < l, E, units), overwritten here; returns their F̂ (E, units)."""
+        if self.kept is not None:
+            self.kept.add(h)
         mean: Array = h.mean(axis=0)
         linear, degenerate = _squares(h, mean, self._batches)
         self._linear += linear

@@ -103,7 +103,6 @@ class FiniteDifference:
     block = 1
 
     view: View
-    paths: Paths
     step_pixels: float
     """Image motion of a step [pixel]."""
 
@@ -112,7 +111,7 @@ class FiniteDifference:
         cls,
         view: View,
         mask: NDArray[np.bool_],
-        paths: Paths,
+        seed: int,
         *,
         step_pixels: float | None = None,
         film_flows: tuple[FilmFlow, ...] = (),
@@ -132,23 +131,23 @@ class FiniteDifference:
                 BlindSpotWarning,
                 stacklevel=2,
             )
-        return cls(view, paths, step_pixels)
+        return cls(view, step_pixels)
 
     @classmethod
     def limits(cls, view: View) -> tuple[str, ...]:
         """Nothing: see `Method.limits`."""
         return ()
 
-    def prepare(self, pixels: NDArray[np.int64]) -> AtOnce:
+    def prepare(self, pixels: NDArray[np.int64], paths: Paths) -> AtOnce:
         """See `Method.prepare`."""
-        return AtOnce(lambda: self._all(pixels))
+        return AtOnce(lambda: self._all(pixels, paths))
 
-    def _all(self, pixels: NDArray[np.int64]) -> Estimates:
+    def _all(self, pixels: NDArray[np.int64], paths: Paths) -> Estimates:
         """Six columns, and the mean of the twelve renders."""
-        values = np.empty((self.paths.batches, len(pixels), 3, 6))
-        image = np.zeros((self.paths.batches, len(pixels), 3))
+        values = np.empty((paths.batches, len(pixels), 3, 6))
+        image = np.zeros((paths.batches, len(pixels), 3))
         for axis, step in enumerate(steps_of(self.view, self.step_pixels)):
-            values[..., axis], mean = column(self.view, pixels, axis, step, self.paths)
+            values[..., axis], mean = column(self.view, pixels, axis, step, paths)
             image += mean / 6.0
         bias = edge_bias(self.view.pixel_filter, self.step_pixels)
         return Estimates(values, image, image.mean(axis=0), step_bias=bias)

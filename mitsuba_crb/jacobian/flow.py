@@ -132,11 +132,11 @@ class Flow:
     block = BLOCK
 
     def __init__(
-        self, view: View, mask: NDArray[np.bool_], paths: Paths, film_flows: tuple[FilmFlow, ...] = ()
+        self, view: View, mask: NDArray[np.bool_], seed: int, film_flows: tuple[FilmFlow, ...] = ()
     ) -> None:
         """See `open`."""
-        self.view, self.paths = view, paths
-        self._mask = mask
+        self.view = view
+        self._mask, self._seed = mask, seed
         self.prepared = prepare(view, film_flows)
 
     @classmethod
@@ -144,13 +144,13 @@ class Flow:
         cls,
         view: View,
         mask: NDArray[np.bool_],
-        paths: Paths,
+        seed: int,
         *,
         step_pixels: float | None,
         film_flows: tuple[FilmFlow, ...] = (),
     ) -> Self:
         """See `Method.open`; errors and warnings as `prepare`."""
-        return cls(view, mask, paths, film_flows)
+        return cls(view, mask, seed, film_flows)
 
     @classmethod
     def limits(cls, view: View) -> tuple[str, ...]:
@@ -179,12 +179,12 @@ class Flow:
         """Relative error that their step may leave in the information of finite differences."""
         return finite_difference.edge_bias(self.view.pixel_filter, self._step_pixels)
 
-    def differences(self, pixels: NDArray[np.int64], count: int) -> NDArray[np.float64]:
+    def differences(self, pixels: NDArray[np.int64], count: int, paths: Paths) -> NDArray[np.float64]:
         """(batches, n, 3, count) the first columns at pixels (n, 2) by finite differences."""
         depth = first_hits(self.view, pixels)[1]
         steps = finite_difference.steps_of(self.view, self._step_pixels, depth[np.isfinite(depth)])
         columns = [
-            finite_difference.column(self.view, pixels, axis, step, self.paths)[0]
+            finite_difference.column(self.view, pixels, axis, step, paths)[0]
             for axis, step in enumerate(steps[:count])
         ]
         return np.stack(columns, axis=-1)
@@ -192,20 +192,20 @@ class Flow:
     @functools.cached_property
     def pilot(self) -> Pilot:
         """Ī_u of the pixels that will be asked for."""
-        return Pilot.of(self.view, self._mask, self.paths.seed)
+        return Pilot.of(self.view, self._mask, self._seed)
 
-    def prepare(self, pixels: NDArray[np.int64]) -> FlowTile:
+    def prepare(self, pixels: NDArray[np.int64], paths: Paths) -> FlowTile:
         """See `Method.prepare`."""
-        return FlowTile(self, pixels)
+        return FlowTile(self, pixels, paths)
 
 
 class FlowTile:
     """Some pixels on their way, see `method.Tile`."""
 
-    def __init__(self, method: Flow, pixels: NDArray[np.int64]) -> None:
+    def __init__(self, method: Flow, pixels: NDArray[np.int64], paths: Paths) -> None:
         """Readies their paths."""
-        self._method, self._pixels = method, pixels
-        self._begin = filter_and_view_terms(method.view, method.prepared, pixels, method.pilot, method.paths)
+        self._method, self._pixels, self._paths = method, pixels, paths
+        self._begin = filter_and_view_terms(method.view, method.prepared, pixels, method.pilot, paths)
 
     @functools.cached_property
     def _baseline(self) -> NDArray[np.float64]:
@@ -216,7 +216,7 @@ class FlowTile:
         """Start the paths in the background, and those of the contours."""
         view, contours, pixels = self._method.view, self._method.prepared.contours, self._pixels
         baseline = self._baseline if len(contours.piece) else np.empty((len(pixels), 3))
-        self._parallax = ParallaxTerm(view, contours, pixels, baseline, self._method.paths)
+        self._parallax = ParallaxTerm(view, contours, pixels, baseline, self._paths)
         columns, image, self._shown, self._closing = self._begin()
         self._parallax.launch()
         self._colors = [*columns, image]
@@ -225,14 +225,14 @@ class FlowTile:
         """Until they are traced."""
         # Shares Dr.Jit's memory, but to look there later would be to wait for the next tile's paths.
         self._traced = [[np.asarray(channel) for channel in color] for color in self._colors]
-        shape = (self._method.paths.batches, -1)
+        shape = (self._paths.batches, -1)
         self._sums = np.array([np.asarray(part).reshape(shape).mean(axis=0) for part in self._shown])
         self._residual = np.array([np.asarray(part).reshape(shape) for part in self._closing], dtype=float)
         self._parallax.wait()
 
     def settle(self) -> SettledFlow:
         """All terms together; blocks that may not close are on their way again."""
-        jacobians, images = as_arrays(self._traced, self._method.paths.batches)
+        jacobians, images = as_arrays(self._traced, self._paths.batches)
         rows, terms, closing = self._parallax.result()
         jacobians[:, rows, :, : terms.shape[-1]] += terms
         self._residual[..., rows] += closing.transpose(2, 0, 1)
@@ -243,27 +243,32 @@ class FlowTile:
         suspect = suspects(self._residual, jacobians[..., :3], shown, blocks)
         suspect &= causes == None  # noqa: E711  # an array
         found = Estimates(jacobians, images, shown, causes[blocks.home])
-        return SettledFlow(self._method, self._pixels, found, suspect[blocks.home])
+        return SettledFlow(self._method, self._pixels, self._paths, found, suspect[blocks.home])
 
 
 class SettledFlow:
     """What flow says of some pixels; whether it may is on its way, see `method.SettledTile`."""
 
     def __init__(
-        self, method: Flow, pixels: NDArray[np.int64], found: Estimates, suspect: NDArray[np.bool_]
+        self,
+        method: Flow,
+        pixels: NDArray[np.int64],
+        paths: Paths,
+        found: Estimates,
+        suspect: NDArray[np.bool_],
     ) -> None:
         """Starts to measure again the closure of pixels (n,) that are suspect."""
-        self._method, self._pixels, self._found = method, pixels, found
+        self._method, self._pixels, self._paths, self._found = method, pixels, paths, found
         self._again = np.flatnonzero(suspect)
         if not len(self._again):
             return
-        seed = int(np.random.SeedSequence([method.paths.seed, CLOSURE]).generate_state(1, np.uint64)[0])
-        paths = Paths(BATCHES * max(PATHS, method.paths.spp // method.paths.batches), seed, BATCHES)
+        seed = int(np.random.SeedSequence([paths.seed, CLOSURE]).generate_state(1, np.uint64)[0])
+        again = Paths(BATCHES * max(PATHS, paths.spp // paths.batches), seed, BATCHES)
         white = replace(method.prepared, tracer=White(), view_term=None, film_flows=())
         own = pixels[self._again]
-        start = filter_and_view_terms(method.view, white, own, Black(), paths)
+        start = filter_and_view_terms(method.view, white, own, Black(), again)
         nothing = np.zeros((len(own), 3))
-        self._parallax = ParallaxTerm(method.view, method.prepared.contours, own, nothing, paths)
+        self._parallax = ParallaxTerm(method.view, method.prepared.contours, own, nothing, again)
         self._closing = start()[-1]
         self._parallax.launch()
 
@@ -283,7 +288,7 @@ class SettledFlow:
         columns = method.differenced(found.causes)
         for count in np.unique(columns[columns > 0]):
             rows = np.flatnonzero(columns == count)
-            found.columns[:, rows, :, :count] = method.differences(self._pixels[rows], count)
+            found.columns[:, rows, :, :count] = method.differences(self._pixels[rows], count, self._paths)
         return found._replace(step_bias=method.step_bias)
 
     def _breaches(self) -> NDArray[np.object_]:

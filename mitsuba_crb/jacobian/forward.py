@@ -50,14 +50,13 @@ class Forward:
     block = 1
 
     view: View
-    paths: Paths
 
     @classmethod
     def open(
         cls,
         view: View,
         mask: NDArray[np.bool_],
-        paths: Paths,
+        seed: int,
         *,
         step_pixels: float | None,
         film_flows: tuple[FilmFlow, ...] = (),
@@ -75,7 +74,7 @@ class Forward:
                 f"integrator {type(view.integrator).__name__} detaches camera rays, so method 'forward' "
                 "would see nothing: use path, direct or volpath, or another method"
             )
-        return cls(view, paths)
+        return cls(view)
 
     @classmethod
     def limits(cls, view: View) -> Iterator[str]:
@@ -87,19 +86,19 @@ class Forward:
                 "bound; use flow"
             )
 
-    def prepare(self, pixels: NDArray[np.int64]) -> AtOnce:
+    def prepare(self, pixels: NDArray[np.int64], paths: Paths) -> AtOnce:
         """See `Method.prepare`."""
-        return AtOnce(lambda: self._all(pixels))
+        return AtOnce(lambda: self._all(pixels, paths))
 
-    def _all(self, pixels: NDArray[np.int64]) -> Estimates:
-        spp, batches = self.paths.spp, self.paths.batches
+    def _all(self, pixels: NDArray[np.int64], paths: Paths) -> Estimates:
+        spp, batches = paths.spp, paths.batches
         values = np.empty((batches, len(pixels), 3, 6))
         image = np.empty((batches, len(pixels), 3))
         count = max(1, MAX_LANES // spp)
         for start in range(0, len(pixels), count):
             part = slice(start, start + count)
             for axis in range(6):
-                column, primal = _column(self.view, pixels[part], spp, self.paths.seed, axis)
+                column, primal = _column(self.view, pixels[part], spp, paths.seed, axis)
                 values[:, part, :, axis] = per_batch(column, batches)
             image[:, part] = per_batch(primal, batches)
         return Estimates(values, image, image.mean(axis=0))

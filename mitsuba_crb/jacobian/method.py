@@ -94,7 +94,7 @@ class Method(Protocol):
         cls,
         view: Any,
         mask: NDArray[np.bool_],
-        paths: Paths,
+        seed: int,
         *,
         step_pixels: float | None,
         film_flows: tuple[FilmFlow, ...] = (),
@@ -104,6 +104,7 @@ class Method(Protocol):
         Args:
             view: what this method can measure; stays open as long as the method is used.
             mask: (H, W), the pixels that will be asked for.
+            seed: of the random numbers of what all tiles share.
             step_pixels: image motion of a finite difference's step, where there is one [pixel]; None leaves
                 that to the method.
             film_flows: of parameters that act on the film alone; only for those that `follows_film`.
@@ -119,7 +120,7 @@ class Method(Protocol):
     def limits(cls, view: Any) -> Iterable[str]:
         """What the method cannot see in this view; each sentence says what the numbers are worth."""
 
-    def prepare(self, pixels: Pixels) -> Tile:
+    def prepare(self, pixels: Pixels, paths: Paths) -> Tile:
         """Ready some pixels (n, 2), columns and rows; those of one block must come in one call."""
 
 
@@ -144,9 +145,9 @@ class AtOnce:
         return self.work()
 
 
-def estimates(method: Method, pixels: Pixels) -> Estimates:
+def estimates(method: Method, pixels: Pixels, paths: Paths) -> Estimates:
     """A method's result for some pixels, in one go."""
-    tile = method.prepare(pixels)
+    tile = method.prepare(pixels, paths)
     tile.launch()
     tile.wait()
     settled = tile.settle()

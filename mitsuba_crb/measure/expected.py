@@ -39,28 +39,27 @@ class ExpectedImage:
     """Of a view, by random numbers of its own."""
 
     view: Measurable
-    spp: int
-    """Paths per pixel of the Jacobian."""
     seed: int
     tile: int
     """Side of the tiles in which the whole image is rendered [pixel]."""
 
     def of(
-        self, pixels: NDArray[np.int64], mean: NDArray[np.float64], noise: IndependentNoise | None
+        self, pixels: NDArray[np.int64], mean: NDArray[np.float64], noise: IndependentNoise | None, spp: int
     ) -> NDArray[np.float64]:
         """(n, 3) at some pixels (n, 2); the Jacobian's own `mean` (n, 3) where a pilot is not finite.
 
         Args:
             noise: what it is for; None: any, so that every pixel has a full pilot.
+            spp: paths per pixel of the Jacobian there.
         """
         if not isinstance(noise, ThresholdNoise):
-            return self._finite(self._pilot(pixels, max(PILOT_SPP, self.spp)), mean)
+            return self._finite(self._pilot(pixels, max(PILOT_SPP, spp)), mean)
         coarse = self.coarse[pixels[:, 1], pixels[:, 0]]
         lowest, highest = self._neighbourhood(pixels)
         near = noise.near_threshold(lowest, highest)
         expected = self._finite(coarse, mean)
         if near.any():
-            spp = max(PILOT_SPP, self.spp // 4)  # pixels at white are few, and the noise smooths white anyway
+            spp = max(PILOT_SPP, spp // 4)  # pixels at white are few, and the noise smooths white anyway
             image = self._finite(self._pilot(pixels[near], spp), mean[near])
             expected[near] = image + _GLARE * noise.excess(highest[near])
         return expected

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from ..errors import BlindSpotWarning, NoiseError, OptionError, PrecisionWarning, RadianceError
 from ..information import subset
 from ..information.accumulate import Accumulator, as_noise_model
+from ..information.block_variance import BlockProducts
 from ..information.fisher import FisherInformation
 from ..information.image_jacobian import ImageJacobian
 from ..information.joint import JointAccumulator, JointInformation, tile_side
@@ -39,7 +40,11 @@ from .measurable import Measurable
 from .mitsuba_view import open_measurable
 from .nuisances import Nuisance, name_parameters, nuisance_columns
 from .options import MeasurementKeywords, MeasurementOptions
+from .plan import Plan
 from .tile_jacobian import TileJacobian
+
+Part = tuple[NDArray[np.int64], Paths]
+"""Pixels (n, 2) of a tile, and the paths of each of them."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,6 +63,8 @@ class Measurement:
     """(H, W), the pixels to measure."""
     selection: PixelSelection
     """What they stand for."""
+    plan: Plan | None = None
+    """Where how many paths go; None: as many to every pixel."""
     differences: Differences = dataclasses.field(default_factory=Differences, init=False)
     """What finite differences have measured so far in the method's place."""
     saturation: Saturation = dataclasses.field(default_factory=Saturation, init=False)
@@ -77,7 +84,7 @@ class Measurement:
     @property
     def paths(self) -> Paths:
         """Of the Jacobian."""
-        return Paths(self.options.spp, self.options.seed, self.options.batches)
+        return Paths(self.options.uniform_spp, self.options.seed, self.options.batches)
 
     @cached_property
     def method(self) -> Method:
@@ -85,7 +92,7 @@ class Measurement:
         return method_of(self.view, self.options.method).open(
             self.view,
             self.mask,
-            self.paths,
+            self.options.seed,
             step_pixels=self.options.step_pixels,
             film_flows=tuple(flow for nuisance in self.nuisances for flow in nuisance.film_flows),
         )
@@ -106,7 +113,7 @@ class Measurement:
             "scene": self.view.label,
             "sensor": self.view.variable,
             "method": self.options.method,
-            "spp": self.options.spp,
+            "spp": self.paths.spp if self.plan is None else self.plan.mean_spp(self.mask),
             "seed": self.options.seed,
             "batches": self.options.batches,
             "size": list(self.view.size),
@@ -160,7 +167,7 @@ class Measurement:
     @cached_property
     def expected(self) -> ExpectedImage:
         """What noise may depend on."""
-        return ExpectedImage(self.view, self.options.spp, self.options.seed, self.options.tile)
+        return ExpectedImage(self.view, self.options.seed, self.options.tile)
 
     def noise_facts(self, noise: NoiseModel, origin: str) -> dict[str, Any]:
         """What a provenance says of the noise that was measured under, JSON-able."""
@@ -180,6 +187,19 @@ class Measurement:
         return dataclasses.replace(
             self, view=self.view.at(pose), options=dataclasses.replace(self.options, **options)
         )
+
+    def planned(self, plan: Plan, *, final: bool = True) -> Measurement:
+        """The same with paths where a plan says, by its random numbers; what has been prepared is shared.
+
+        Args:
+            plan: for these pixels.
+            final: whether what comes of it is the answer, of which `on_tile` is told.
+        """
+        options = self.options if final else dataclasses.replace(self.options, on_tile=None)
+        following = dataclasses.replace(self, plan=plan, options=options)
+        prepared = ("method", "exposure", "expected")
+        vars(following).update({name: value for name, value in vars(self).items() if name in prepared})
+        return following
 
     def only(self, mask: NDArray[np.bool_] | None = None, description: str | None = None) -> Measurement:
         """The same measurement for an estimator that has its pixels and no others; of a mask (H, W), those.
@@ -266,6 +286,10 @@ class Measurement:
 
     def joint_information(self, noise: NoiseModel) -> JointInformation:
         """Of the pose and the nuisances, with nothing decided of any."""
+        return self.summed(noise)[0]
+
+    def summed(self, noise: NoiseModel) -> tuple[JointInformation, BlockProducts]:
+        """The joint information, and what each unit of pixels contributed."""
         accumulator = JointAccumulator(
             self.parameters,
             batches=self.options.batches,
@@ -274,7 +298,7 @@ class Measurement:
             coupled=noise.couples_pixels,
         )
         self.sum_into(accumulator, noise)
-        return accumulator.information(self.linearisation)
+        return accumulator.information(self.linearisation), accumulator.kept
 
     def weighted_tiles(self, noise: IndependentNoise) -> Iterator[tuple[TileJacobian, NDArray[np.float64]]]:
         """The Jacobian, one tile after the other, and a noise model's weights there."""
@@ -291,34 +315,49 @@ class Measurement:
             pilot: also render the image by other random numbers, for any noise that depends on it: the
                 Jacobian's own has its errors in common with it, which would bias the information.
         """
-        done, total, invalid = 0, int(self.mask.sum()), 0
-        for pixels, (columns, images, image, causes, step_bias) in self._in_turn():
+        efforts = list(self._efforts())
+        least = min(paths.spp for paths, _ in efforts)
+        total = sum(int(mask.sum()) * (paths.spp // least) for paths, mask in efforts)
+        done, measured, invalid = 0, 0, 0
+        parts = [(pixels, paths) for paths, mask in efforts for pixels in subset.tiles(mask, self.tile)]
+        for (pixels, paths), (columns, images, image, causes, step_bias) in self._in_turn(parts):
             values, film = columns[..., :6], columns[..., 6:]
             others = None
             if self.nuisances:
-                others = nuisance_columns(self.nuisances, self.view, pixels, images, film, self.paths)
-            done += len(pixels)
+                others = nuisance_columns(self.nuisances, self.view, pixels, images, film, paths)
+            done += len(pixels) * (paths.spp // least)
+            measured += len(pixels)
             needed = pilot or (noise is not None and noise.depends_on_mean)
-            expected = self.expected.of(pixels, image, noise) if needed else None
+            expected = self.expected.of(pixels, image, noise, paths.spp) if needed else None
             tile = TileJacobian(values, pixels, image, others, expected, causes, step_bias).finite()
             if noise is not None:
                 tile = dataclasses.replace(tile, weights=noise.weights(tile.pixels, tile.expected))
             invalid += len(pixels) - len(tile.pixels)
             if self.options.on_tile is not None:
                 self.options.on_tile(tile, done, total)
+            if self.options.on_progress is not None:
+                before = 0 if self.plan is None else self.plan.before // least
+                self.options.on_progress(before + done, before + total)
             if self.options.drop_invalid or not invalid:
                 yield tile
-        self.check_valid(invalid, total)
+        self.check_valid(invalid, measured)
 
-    def _in_turn(self) -> Iterator[tuple[NDArray[np.int64], Estimates]]:
-        """Each tile's pixels and what the method says of them.
+    def _efforts(self) -> Iterator[tuple[Paths, NDArray[np.bool_]]]:
+        """Which paths which pixels (H, W) get."""
+        if self.plan is None:
+            yield self.paths, self.mask
+        else:
+            yield from self.plan.efforts(self.mask, self.options.batches)
+
+    def _in_turn(self, parts: Sequence[Part]) -> Iterator[tuple[Part, Estimates]]:
+        """Each tile's pixels with their paths, and what the method says of them.
 
         One tile is prepared, and the two before it summed up, while paths are traced.
         """
-        running: tuple[NDArray[np.int64], Tile] | None = None
-        settled: tuple[NDArray[np.int64], SettledTile] | None = None
-        for pixels in chain(subset.tiles(self.mask, self.tile), (None, None)):
-            tile = None if pixels is None else self.method.prepare(pixels)
+        running: tuple[Part, Tile] | None = None
+        settled: tuple[Part, SettledTile] | None = None
+        for part in chain(parts, (None, None)):
+            tile = None if part is None else self.method.prepare(*part)
             # To look at arrays is to wait for all that was launched, so before the next tile is.
             for earlier in (running, settled):
                 if earlier is not None:
@@ -328,7 +367,7 @@ class Measurement:
             if settled is not None:
                 yield settled[0], settled[1].result()
             settled = None if running is None else (running[0], running[1].settle())
-            running = None if pixels is None or tile is None else (pixels, tile)
+            running = None if part is None or tile is None else (part, tile)
 
 
 @contextlib.contextmanager

@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict
 from ..errors import OptionError
 
 if TYPE_CHECKING:
+    from .adaptive import Round
     from .tile_jacobian import TileJacobian
 
 Progress = Callable[["TileJacobian", int, int], None]
-"""Called after each tile with its Jacobian, the pixels done and the pixels in total."""
+"""Called after each tile with its Jacobian, the pixels done and the pixels in total; of those with unequal
+paths, each counts as often as it has the fewest."""
 
 
 class MeasurementKeywords(TypedDict, total=False):
@@ -26,7 +28,9 @@ class MeasurementKeywords(TypedDict, total=False):
     sensor: int | str
     pose: Any
     method: str
-    spp: int
+    spp: int | None
+    precision: float | None
+    max_spp: int | None
     seed: int
     batches: int
     pixels: Any
@@ -35,6 +39,8 @@ class MeasurementKeywords(TypedDict, total=False):
     tile: int
     drop_invalid: bool
     on_tile: Progress | None
+    on_progress: Callable[[int, int], None] | None
+    on_round: Callable[[Round], None] | None
     step_pixels: float | None
     exposure: float | Literal["auto"] | None
     clip: bool
@@ -54,9 +60,16 @@ class MeasurementOptions:
     """`world_from_camera`, 4x4 or `RigidTransform`, in place of the sensor's own."""
     method: str = "flow"
     """A name in `jacobian.methods`."""
-    spp: int = 64
-    """Paths per pixel over all batches, a multiple of `batches`. Finite differences trace 12 times that,
-    "forward" 6 times."""
+    spp: int | None = None
+    """Paths per pixel over all batches, a multiple of `batches`; None is as many as `precision` takes, where
+    they are needed, and `UNIFORM_SPP` where there is no bound to be precise. Finite differences trace 12
+    times that, "forward" 6 times."""
+    precision: float | None = None
+    """Relative standard error of every standard deviation that is seen; None is `PRECISION` if there is no
+    `spp`."""
+    max_spp: int | None = None
+    """Most paths per pixel that a precision may take, over all rounds on average; None leaves it at
+    `MAX_PATHS` in all."""
     seed: int = 0
     """Of all random numbers; equal calls give equal bits."""
     batches: int = 4
@@ -72,7 +85,11 @@ class MeasurementOptions:
     drop_invalid: bool = False
     """Leave out pixels whose radiance is not finite instead of raising."""
     on_tile: Progress | None = None
-    """Called after each tile."""
+    """Called after each tile of the answer."""
+    on_progress: Callable[[int, int], None] | None = None
+    """Called after each tile of any round, with what is done and what is planned, in pixels' paths."""
+    on_round: Callable[[Round], None] | None = None
+    """Called after each round that a precision takes before the answer's."""
     step_pixels: float | None = None
     """Image motion of a finite-difference step [pixel]; other methods have none. None is the film's own
     (`finite_difference.step_for`): 0.15 with a Gaussian filter, 0.075 with a tent, 0.019 with a box."""
@@ -86,8 +103,10 @@ class MeasurementOptions:
         from ..information.accumulate import MINIMUM_BATCHES
         from ..information.blocks import BLOCK
 
-        for name in ("spp", "seed", "batches", "tile"):
+        for name in ("spp", "max_spp", "seed", "batches", "tile"):
             value = getattr(self, name)
+            if value is None and name in ("spp", "max_spp"):
+                continue
             if isinstance(value, bool) or not isinstance(value, Integral):
                 raise OptionError(f"{name} must be a whole number; got {value!r}")
         if self.batches < MINIMUM_BATCHES:
@@ -95,13 +114,7 @@ class MeasurementOptions:
                 f"batches must be at least {MINIMUM_BATCHES}, for standard errors without bias; got "
                 f"{self.batches}"
             )
-        if self.spp <= 0:
-            raise OptionError(f"spp must be positive; got {self.spp}")
-        if self.spp % self.batches:
-            nearest = max(self.batches, round(self.spp / self.batches) * self.batches)
-            raise OptionError(
-                f"spp {self.spp} is not a multiple of batches {self.batches}; the nearest is {nearest}"
-            )
+        self._check_paths()
         if not 0 <= self.seed < 1 << 64:
             raise OptionError(f"seed must lie in [0, 2^64); got {self.seed}")
         if self.tile <= 0 or self.tile % BLOCK:
@@ -118,7 +131,48 @@ class MeasurementOptions:
         if self.size is not None:
             object.__setattr__(self, "size", image_size(self.size))
 
+    def _check_paths(self) -> None:
+        precision = self.precision
+        if precision is not None and (not isinstance(precision, Real) or not 0.0 < precision < 1.0):
+            raise OptionError(f"precision must lie between 0 and 1, such as 0.05 for 5 %; got {precision!r}")
+        if self.spp is None:
+            if self.max_spp is not None and self.max_spp < self.pilot_spp:
+                raise OptionError(
+                    f"max_spp {self.max_spp} is less than the {self.pilot_spp} paths of the first round; "
+                    "raise it, or give spp for so few"
+                )
+            return
+        for name in ("precision", "max_spp"):
+            if getattr(self, name) is not None:
+                raise OptionError(
+                    f"spp gives every pixel as many paths, and {name} leaves that to the precision; leave "
+                    "out one or the other"
+                )
+        if self.spp <= 0:
+            raise OptionError(f"spp must be positive; got {self.spp}")
+        if self.spp % self.batches:
+            nearest = max(self.batches, round(self.spp / self.batches) * self.batches)
+            raise OptionError(
+                f"spp {self.spp} is not a multiple of batches {self.batches}; the nearest is {nearest}"
+            )
 
+    @property
+    def uniform_spp(self) -> int:
+        """Paths per pixel where no precision decides on them."""
+        return self.batches * max(1, round(UNIFORM_SPP / self.batches)) if self.spp is None else self.spp
+
+    @property
+    def pilot_spp(self) -> int:
+        """Paths per pixel of a precision's first round, and the least of any: a pair in each batch."""
+        return 2 * self.batches
+
+
+UNIFORM_SPP = 64
+"""Default of `spp` where there is no bound that could be precise: Jacobians, images, estimators."""
+PRECISION = 0.05
+"""Default of `precision`."""
+MAX_PATHS = 1 << 26
+"""Default of what a precision may take, in all."""
 CHECKING: MeasurementKeywords = {"spp": 256, "batches": 8}
 """Defaults of `check_jacobian`: more batches than a bound's, for errors that are certain themselves."""
 VALIDATING: MeasurementKeywords = {"spp": 256}

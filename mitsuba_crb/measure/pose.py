@@ -13,6 +13,7 @@ from ..errors import BlindSpotWarning, SceneWarning
 from ..information.image_jacobian import ImageJacobian
 from ..noise import NoiseModel
 from ..render.lending import in_turn
+from .adaptive import answer
 from .measurement import measurement
 from .options import MeasurementKeywords
 
@@ -88,18 +89,19 @@ def pose_bound(
                     warnings.warn(nothing, SceneWarning, stacklevel=2)
                 run.warn_of_limits()
                 prepared = time.perf_counter()
-                joint = run.joint_information(model)
+                found = answer(run, model, prior=prior)
             rendered = time.perf_counter()
-            alone = joint.marginalize()
+            alone = found.joint.marginalize()
             bound = joint_bound(alone, prior=prior)
     finally:
         for warning in caught:
             warnings.warn(warning.message, warning.category, stacklevel=3)
     provenance = {
-        **run.provenance(),
-        "noise": run.noise_facts(model, origin),
+        **found.run.provenance(),
+        **found.provenance,
+        "noise": found.run.noise_facts(model, origin),
         "noise_inflation": alone.information.noise_inflation,
-        "finite_differences": run.differences.to_dict(alone.information),
+        "finite_differences": found.run.differences.to_dict(alone.information),
         "warnings": list(dict.fromkeys(str(warning.message) for warning in caught)),
         "no_bound": list(
             dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, BlindSpotWarning))

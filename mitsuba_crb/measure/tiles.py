@@ -18,6 +18,7 @@ from ..agents.tiles import TileInformation, correlated_refusal
 from ..errors import SelectionError
 from ..noise import CoupledNoise, NoiseModel
 from ..render.lending import in_turn
+from .adaptive import Rounds
 from .measurement import measurement
 from .options import MeasurementKeywords
 
@@ -33,7 +34,7 @@ def tile_information(
     agent: str | None = None,
     tile_size: int | tuple[int, int] = TILE_SIZE,
     form: Form = "factor",
-    precision: Precision = "float32",
+    message_precision: Precision = "float32",
     rank: int = 6,
     **options: Unpack[MeasurementKeywords],
 ) -> TileInformation:
@@ -45,7 +46,7 @@ def tile_information(
         agent: the agent's name; None is the sensor's.
         tile_size: side, or width and height, of the tiles [pixel]; those at the image's rim are cut.
         form: of the messages whose size is the tiles' cost.
-        precision: of these messages.
+        message_precision: of their numbers.
         rank: of these messages, if they are sketches.
         options: see `MeasurementOptions`; `batches` at least 8, the default, since each half of them is an
             estimate of its own.
@@ -61,14 +62,14 @@ def tile_information(
     with measurement(scene, **options) as run:
         name = run.view.variable if agent is None else agent
         variable = run.view.variable
-        cost = message_size(agent=name, variable=variable, form=form, precision=precision, rank=rank)
+        cost = message_size(agent=name, variable=variable, form=form, precision=message_precision, rank=rank)
         sampled = run.selection.kind == "random"
         grid = TileGrid(run.view.size, tile_size, batches=run.options.batches, sampled=sampled)
         model, _ = run.noise(noise)
         if isinstance(model, CoupledNoise):
             raise SelectionError(correlated_refusal([name]))
         run.warn_of_limits()
-        for part, weights in run.weighted_tiles(model):
+        for part, weights in Rounds(run, model).decided().weighted_tiles(model):
             grid.add(part.batch_values, weights, part.pixels)
         select, report = grid.halves(
             run.linearisation.scale,

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+    from ..measure.adaptive import Round
 
 _UNSEEN = "∞ (unseen)"
 
@@ -54,9 +60,27 @@ def number_with_error(value: float, error: float) -> tuple[str, str]:
     return written, f"± {error / 10.0**shift:.{digits}f}{suffix}" if known else "± unknown"
 
 
+class Bar:
+    """A bar of progress that is shown."""
+
+    def __init__(self, bar: Progress, task: TaskID) -> None:
+        """At its beginning."""
+        self._bar, self._task, self._doing = bar, task, "measuring"
+
+    def __call__(self, done: int, total: int) -> None:
+        """So much of so much is done."""
+        self._bar.update(self._task, description=self._doing, completed=done, total=total)
+
+    def after(self, found: Round) -> None:
+        """What a round came to, while the next one is on its way."""
+        known = f"± {100 * found.precision:.2g} %" if math.isfinite(found.precision) else "nothing"
+        hidden = f", {found.hidden} of 6 not resolved" if found.hidden else ""
+        self._doing = f"{known} so far{hidden}; measuring"
+
+
 @contextmanager
-def progress() -> Iterator[Callable[[int, int], None]]:
-    """A bar on standard error, on a terminal only; yields what to call with (done, total) pixels."""
+def progress() -> Iterator[Bar]:
+    """A bar on standard error, on a terminal only."""
     from rich.progress import (
         BarColumn,
         Progress,
@@ -77,4 +101,4 @@ def progress() -> Iterator[Callable[[int, int], None]]:
     )
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("loading", total=None)
-        yield lambda done, total: bar.update(task, description="measuring", completed=done, total=total)
+        yield Bar(bar, task)

@@ -36,14 +36,16 @@ def rendered(monkeypatch):
     """`pose_bound` replaced by a synthetic view; records what it was given."""
     calls = SimpleNamespace(view=synthetic_view.jacobian(), options=None, defines=None, rendered=False)
 
-    def pose_bound(source, noise, *, on_tile, **options):
+    def pose_bound(source, noise, *, on_progress, on_round, on_tile=None, **options):
         calls.defines = source.defines
         calls.rendered, calls.options, calls.noise = True, options, noise
         warnings.warn("one thing to know", PrecisionWarning, stacklevel=2)
         view = calls.view
         for count, half in enumerate(np.array_split(np.arange(len(view.pixels)), 2), 1):
             tile = TileJacobian(view.batch_values[:, half], view.pixels[half], view.mean[half])
-            on_tile(tile, count * len(half), len(view.pixels))
+            if on_tile is not None:
+                on_tile(tile, count * len(half), len(view.pixels))
+            on_progress(count * len(half), len(view.pixels))
         return synthetic_view.bound(view)
 
     monkeypatch.setattr(report, "pose_bound", pose_bound)
@@ -203,6 +205,8 @@ def test_options_reach_the_library(rendered, capsys, tmp_path):
         "sensor": "left",
         "method": "forward",
         "spp": 8,
+        "precision": None,
+        "max_spp": None,
         "seed": 5,
         "batches": 8,
         "size": (20, 10),

@@ -377,14 +377,18 @@ def test_all_views_of_a_team_have_one_exposure_unless_it_says_otherwise(tmp_path
 def test_every_key_of_the_measurement_is_an_option_s_with_its_type(tmp_path: Path) -> None:
     given = {"size": (32, 24), "spp": 16, "seed": 2, "batches": 8, "method": "flow", "drop_invalid": True}
     given |= {"exposure": 0.5, "clip": False}
-    assert {*given, "integrator"} == set(MeasureTable.model_fields)
+    adaptive = {"precision": 0.02, "max_spp": 512}  # in place of spp
+    assert {*given, *adaptive, "integrator"} == set(MeasureTable.model_fields)
+    team = load_team(written(tmp_path, "[measure]\nprecision = 0.02\nmax_spp = 512\n"))
+    options = MeasurementOptions(**team.options(team.members[0]))
+    assert (options.spp, options.precision, options.max_spp) == (None, 0.02, 512)
     text = f"[measure]\n{''.join(f'{k} = {json.dumps(v)}{chr(10)}' for k, v in given.items())}"
     team = load_team(written(tmp_path, f'{text}integrator = "path"\n'))
     exposing = dataclasses.replace(team.members[0], noise=None)
     options = MeasurementOptions(**team.options(exposing))
     assert not {"exposure", "clip"} & set(team.options(team.members[0]))  # its noise is another's
     assert {**given, "integrator": "path", "seed": options.seed} == {
-        key: getattr(options, key) for key in MeasureTable.model_fields
+        key: getattr(options, key) for key in MeasureTable.model_fields if key not in adaptive
     }
 
 

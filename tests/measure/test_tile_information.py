@@ -90,7 +90,7 @@ def test_a_mask_keeps_the_tiles_that_it_touches_and_a_sample_stands_for_all() ->
 
 def test_the_cost_is_the_size_of_the_message() -> None:
     own = tile_information(
-        textured_wall(), SIGMA, agent="robot é", form="sketch", precision="float16", rank=2, **FAST
+        textured_wall(), SIGMA, agent="robot é", form="sketch", message_precision="float16", rank=2, **FAST
     )
     (found,) = about_common_body([own], [np.eye(4)])
     assert found.cost_bytes.tolist() == [

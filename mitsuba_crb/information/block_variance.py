@@ -1,0 +1,88 @@
+"""Which blocks of the film the errors of the standard deviations come from.
+
+A standard deviation σ² = aᵀ F⁻¹ a changes by δσ² = −bᵀ δF b, b = F⁻¹ a, and δF is a sum over units of pixels
+with independent errors (`accumulate`). So of the relative variance of σ, unit u has the part
+
+    v_u = Var[bᵀ F̂_u b] / (4 σ⁴) = linear + degenerate,
+
+by the analysis of variance of `ustatistic`, of the numbers bᵀ h_kl b instead of matrices. With n times the
+paths the linear part, signal by noise, is 1/n of that, and the degenerate one, noise by noise, 1/n². Either
+may be negative for one unit: they are unbiased.
+
+Source: design section 11; Hoeffding 1948, as in `ustatistic`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..se3 import Array
+from .symmetric import pack
+
+
+@dataclass(frozen=True, eq=False)
+class BlockVariance:
+    """Parts of relative variances, by unit of pixels."""
+
+    corner: NDArray[np.int64]
+    """(units, 2) column and row of one of the unit's pixels."""
+    linear: Array
+    """(m, units), what goes with one over the number of paths."""
+    degenerate: Array
+    """(m, units), what goes with one over its square."""
+
+    def scaled(self, factor: float) -> BlockVariance:
+        """Of what is so many times as variable."""
+        return BlockVariance(self.corner, factor * self.linear, factor * self.degenerate)
+
+    @property
+    def total(self) -> Array:
+        """(m, units), with the paths that they were measured by."""
+        return self.linear + self.degenerate
+
+
+class BlockProducts:
+    """h_kl of every unit, kept while an information is summed up."""
+
+    def __init__(self, batches: int, columns: int = 6) -> None:
+        self._batches, self._columns = batches, columns
+        self._corners: list[NDArray[np.int64]] = []
+        self._products: list[NDArray[np.float32]] = []
+
+    def corners(self, pixels: NDArray[np.int64]) -> None:
+        """Of the units (n, 2) whose products come next."""
+        self._corners.append(pixels)
+
+    def add(self, products: Array) -> None:
+        """Of some units, (pairs k < l, E, units), or of ordered pairs (K, K, E, units)."""
+        if products.ndim == 4:
+            products = np.stack(
+                [0.5 * (products[k, j] + products[j, k]) for k, j in combinations(range(self._batches), 2)]
+            )
+        self._products.append(products.astype(np.float32))
+
+    def variance(self, vectors: Array, values: Array) -> BlockVariance:
+        """Parts of the relative variances of σ = values^½.
+
+        Args:
+            vectors: (m, P), each b in the columns' own units.
+            values: (m,), σ² = bᵀ F b.
+        """
+        K = self._batches
+        # Off-diagonal entries of a symmetric matrix occur twice in a quadratic form but once in `pack`.
+        multiplicity = pack(2.0 - np.eye(self._columns))
+        gradient = pack(vectors[:, :, None] * vectors[:, None, :]) * multiplicity / (2.0 * values[:, None])
+        h = np.concatenate([gradient @ part for part in self._products], axis=-1)
+        d = h - h.mean(axis=0)
+        s = np.zeros((K, *d.shape[1:]))
+        for pair, (k, j) in zip(d, combinations(range(K), 2), strict=True):
+            s[k] += pair
+            s[j] += pair
+        between = np.sum(s**2, axis=0) / (K - 2)
+        within = 2.0 * (np.sum(d**2, axis=0) - between) / (K * (K - 3))
+        linear = 4.0 / (K * (K - 2)) * (between / (K - 1) - within)
+        return BlockVariance(np.concatenate(self._corners), linear, 2.0 / (K * (K - 1)) * within)

@@ -1,0 +1,220 @@
+"""To a precision: rounds of paths, each where the rounds before it have seen that the bound needs them.
+
+A pilot gives every pixel a few paths. What it has seen says how many more which part of the film should get
+(`allocation`) for every standard deviation that is seen to reach its precision, and for those that noise
+still hides to come out of it. If that is many times what has been spent, or something is hidden, a round in
+between betters what is known. Size and allocation of the last round are fixed before its random numbers are
+drawn; it alone is the answer, and its error is reported whatever it is: neither is mixed with the paths that
+decided on it, and it is not topped up until it looks precise. So no choice made here biases the information.
+
+Source: design section 11; Muthukkumar 2025, outlook ("adaptive rendering").
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bound.cramer_rao import TURN, PoseBound, cramer_rao_bound, position_functionals
+from ..errors import PrecisionWarning
+from ..information.allocation import Needs, allocate
+from ..information.block_variance import BlockProducts
+from ..information.blocks import BLOCK
+from ..information.joint import JointInformation, tile_side
+from ..noise import NoiseModel
+from .measurement import Measurement
+from .options import MAX_PATHS, PRECISION
+from .plan import Plan
+
+ROUND = 0x524F554E
+"""Purpose of the rounds' random numbers."""
+
+_FAR = 8.0
+"""Times what has been spent, beyond which another round betters the allocation first."""
+_BETWEEN = 2.0
+"""Times what has been spent, of such a round."""
+_EXPLORING = 4.0
+"""Times what has been spent, of a round for what noise still hides."""
+_SMALL = 0.25
+"""Of the variance that no paths can mend, what is always good enough for the paths."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Round:
+    """What a round came to."""
+
+    paths: int
+    """Paths in all."""
+    precision: float
+    """Largest relative standard error of the standard deviations that are seen; infinite if none is."""
+    hidden: int
+    """How many of the six noise still hides."""
+    ahead: int
+    """Paths of the next round."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Answer:
+    """What was found in the last round, and how it came to it."""
+
+    run: Measurement
+    """The measurement of that round, after it."""
+    joint: JointInformation
+    products: BlockProducts
+    rounds: tuple[Round, ...] = ()
+    """Those before it."""
+    interrupted: bool = False
+    """Whether a round was broken off, and this is the one before it."""
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """How many paths went where, JSON-able."""
+        plan = self.run.plan
+        if plan is None:
+            return {}
+        spp = plan.of_pixels(self.run.mask)[self.run.mask]
+        options = self.run.options
+        return {
+            "sampling": {
+                "precision": options.precision or PRECISION,
+                "rounds": [dataclasses.asdict(each) for each in self.rounds],
+                "spp": {"least": int(spp.min()), "mean": float(spp.mean()), "most": int(spp.max())},
+                "paths": sum(each.paths for each in self.rounds) + int(spp.sum()),
+                "interrupted": self.interrupted,
+            }
+        }
+
+
+def answer(run: Measurement, noise: NoiseModel, *, prior: Any = None) -> Answer:
+    """The joint information of a view under a noise model: by as many paths everywhere, or to a precision.
+
+    Args:
+        run: an opened measurement; its options say which.
+        noise: from `Measurement.noise`.
+        prior: as for `cramer_rao_bound`: with it there may be less to measure.
+    """
+    rounds = Rounds(run, noise, prior=prior)
+    try:
+        last = rounds.decided()
+        return Answer(last, *last.summed(noise), tuple(rounds.done))
+    except KeyboardInterrupt:
+        if rounds.last is None:
+            raise
+        return dataclasses.replace(rounds.last, interrupted=True)
+
+
+class Rounds:
+    """What has been spent and seen so far, and what comes next."""
+
+    def __init__(self, run: Measurement, noise: NoiseModel, *, prior: Any = None) -> None:
+        """Before the pilot; arguments as of `answer`."""
+        self._run, self._noise, self._prior = run, noise, prior
+        self.done: list[Round] = []
+        self.last: Answer | None = None
+        self._seen: list[tuple[BlockProducts, NDArray[np.int64]]] = []
+        side = tile_side(run.parameters, sampled=run.selection.kind == "random") or BLOCK
+        rows, columns = (-(-n // side) for n in run.mask.shape)
+        row, column = np.nonzero(run.mask)
+        cell = row // side * columns + column // side
+        self._side = side
+        self._pixels = np.bincount(cell, minlength=rows * columns).reshape(rows, columns)
+        self._least = run.options.pilot_spp
+        most = run.options.max_spp
+        self._budget = float(MAX_PATHS if most is None else most * int(self._pixels.sum()))
+
+    def decided(self) -> Measurement:
+        """The measurement that is to give the answer, after all rounds but its own."""
+        if self._run.options.spp is not None:
+            return self._run
+        plan = self._planned(np.full(self._pixels.shape, self._least, dtype=np.int64))
+        # A pilot and an answer of the same size must fit: else the pilot is the answer.
+        final = self._budget < 2.0 * self._cost(plan)
+        while not final:
+            run = self._run.planned(plan, final=False)
+            self.last = Answer(run, *run.summed(self._noise), tuple(self.done))
+            plan, final = self._decide(self.last, plan)
+        return self._run.planned(plan)
+
+    def _decide(self, found: Answer, plan: Plan) -> tuple[Plan, bool]:
+        """What comes after a round, and whether it is the last."""
+        self._seen.append((found.products, plan.spp))
+        cost = self._cost(plan)
+        spent = cost + sum(each.paths for each in self.done)
+        left = self._budget - spent
+        bound = self._bound(found.joint)
+        needs, hidden = self._needs(found, bound)
+        spp, _ = allocate(needs, self._least, left)
+        between = (_EXPLORING if hidden.any() else _BETWEEN) * spent
+        final = not hidden.any() and np.sum(self._pixels * spp) <= _FAR * spent
+        if not final:
+            # What is left after a round in between must be worth more than that.
+            final = left < 2.0 * between
+            if hidden.any() or not final:
+                spp = self._in_between(needs, left if final else between)
+        self.done.append(Round(cost, _precision(bound), int(hidden.sum()), int(np.sum(self._pixels * spp))))
+        if self._run.options.on_round is not None:
+            self._run.options.on_round(self.done[-1])
+        return self._planned(spp), final
+
+    def _planned(self, spp: NDArray[np.int64]) -> Plan:
+        """A plan with random numbers that no round before it had."""
+        entropy = [self._run.options.seed, ROUND, len(self.done) + 1]
+        seed = int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0])
+        return Plan(spp, self._side, seed, before=sum(each.paths for each in self.done))
+
+    def _cost(self, plan: Plan) -> int:
+        return int(np.sum(self._pixels * plan.spp))
+
+    def _in_between(self, needs: Needs, paths: float) -> NDArray[np.int64]:
+        """So many paths, where they tell most of what the next round needs."""
+        return allocate(dataclasses.replace(needs, goal=1e-6 * needs.goal), self._least, paths)[0]
+
+    def _bound(self, joint: JointInformation) -> PoseBound:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PrecisionWarning)
+            return cramer_rao_bound(joint.marginalize().information, prior=self._prior)
+
+    def _needs(self, found: Answer, bound: PoseBound) -> tuple[Needs, NDArray[np.bool_]]:
+        """What is to be expected of each cell, and which of the six standard deviations noise hides."""
+        functionals = np.concatenate([position_functionals(bound.inverse), TURN])
+        vectors, values = bound.inverse.sensitivity(functionals)
+        vectors = vectors @ found.joint.marginalize().elimination.T
+        hidden = ~np.isfinite(np.concatenate([bound.position_std, bound.rotation_std_deg]))
+        hidden &= not _proven(bound)
+        selection = self._run.selection
+        scale = selection.total / selection.selected if selection.kind == "random" else 1.0
+        precision = self._run.options.precision or PRECISION
+        rounds = [(products.variance(vectors, values).scaled(scale**2), spp) for products, spp in self._seen]
+        goal = np.full(6, precision**2)
+        reported = np.square(_relative_errors(bound))
+        fixed = np.maximum(reported - np.sum(rounds[-1][0].total, axis=1), 0.0)
+        # What no paths can mend: a random subset's choice, and the step of finite differences.
+        fixed[~(fixed > 0.2 * reported)] = 0.0
+        goal = np.maximum(goal - fixed, _SMALL * fixed)
+        if not hidden.any():
+            goal[~np.isfinite(reported)] = np.inf
+        return Needs.of(rounds, self._side, self._pixels, goal).smoothed(), hidden
+
+
+def _relative_errors(bound: PoseBound) -> NDArray[np.float64]:
+    """(6,), NaN where the bound is infinite."""
+    errors = np.concatenate([bound.position_std_standard_error, bound.rotation_std_deg_standard_error])
+    return np.asarray(errors / np.concatenate([bound.position_std, bound.rotation_std_deg]))
+
+
+def _precision(bound: PoseBound) -> float:
+    errors = _relative_errors(bound)
+    return float(np.nanmax(errors)) if np.isfinite(errors).any() else float("inf")
+
+
+def _proven(bound: PoseBound) -> bool:
+    """Whether what is hidden is known to tell nothing, or next to nothing."""
+    found = bound.inverse.identifiability
+    if found.rank == 6:
+        return True
+    largest = max(float(found.eigenvalues[found.rank]), 0.0) + found.threshold
+    return largest <= 1e-3 * float(found.eigenvalues[0])
