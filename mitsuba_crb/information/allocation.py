@@ -4,8 +4,9 @@ A block's part of σ_i's relative variance is l_bi r + d_bi r², r its paths in 
 those to come (`block_variance`). For weights μ_i over the directions, the least Σ_b c_b n_b at a given
 Σ_i μ_i Σ_b v_bi / n_b has n_b ∝ (Σ_i μ_i v_bi / c_b)^½ (Neyman 1934), c_b the cost of a path; μ is such that
 the directions reach their goals together (multiplicative weights; Arora, Hazan and Kale 2012). The parts are
-noisy themselves: they are smoothed over neighbouring blocks, and a share of the paths goes to all blocks
-alike, in powers of two of the least number. So an allocation is never wrong, only more or less good, and
+estimates with heavy tails: few paths have not met what decides. So they are smoothed over neighbouring
+blocks, a share of each is taken to be as the block's information, and a share of the paths goes to all blocks
+alike; all in powers of two of the least number. An allocation is never wrong, only more or less good, and
 independent of the random numbers that come after it.
 
 Source: Neyman, "On the two different aspects of the representative method", 1934; design section 11.
@@ -14,7 +15,7 @@ Source: Neyman, "On the two different aspects of the representative method", 193
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +24,10 @@ from scipy import ndimage
 from ..se3 import Array
 from .block_variance import BlockVariance
 
-UNIFORM = 0.3
+UNIFORM = 0.2
 """Share of the paths that goes to all blocks alike."""
+INFORMED = 0.25
+"""Share of the relative variances that is taken to be as the blocks' information."""
 
 _SMOOTH = 0.7  # blocks
 _MARGIN = 0.8
@@ -45,6 +48,8 @@ class Needs:
     """(m, rows, columns) parts of relative variances at one path per pixel, of what goes with 1/n."""
     degenerate: Array
     """(m, rows, columns) likewise, of what goes with 1/n²."""
+    effect: Array
+    """(m, rows, columns) of their information on the standard deviations."""
     pixels: NDArray[np.int64]
     """(rows, columns) how many pixels are measured there."""
     cost: Array
@@ -67,14 +72,14 @@ class Needs:
             pixels: (rows, columns) how many of a cell's are measured.
             goal: (m,) relative variances that are wanted.
         """
-        total = np.zeros((2, len(goal), *pixels.shape))
+        total = np.zeros((3, len(goal), *pixels.shape))
         for found, spp in rounds:
             cell = found.corner[:, 1] // side * pixels.shape[1] + found.corner[:, 0] // side
-            for power, part in enumerate((found.linear, found.degenerate), start=1):
+            for power, part in enumerate((found.effect, found.linear, found.degenerate)):
                 sums = np.array([np.bincount(cell, row, pixels.size) for row in part])
-                total[power - 1] += sums.reshape(total.shape[1:]) * spp.astype(float) ** (power + 1)
-        linear, degenerate = total / sum(spp for _, spp in rounds)
-        return Needs(linear, degenerate, pixels, np.ones(pixels.shape), goal)
+                total[power] += sums.reshape(total.shape[1:]) * spp.astype(float) ** (power + 1)
+        effect, linear, degenerate = total / sum(spp for _, spp in rounds)
+        return Needs(linear, degenerate, effect, pixels, np.ones(pixels.shape), goal)
 
     def smoothed(self) -> Needs:
         """With the parts shared out among neighbours, none of them negative."""
@@ -90,7 +95,12 @@ class Needs:
             ratio = np.divide(total, whole, out=np.zeros_like(total), where=whole > 0.0)
             return np.asarray(positive * np.clip(ratio, _KEPT, 1.0))
 
-        return Needs(smooth(self.linear), smooth(self.degenerate), self.pixels, self.cost, self.goal)
+        return replace(
+            self,
+            linear=smooth(self.linear),
+            degenerate=smooth(self.degenerate),
+            effect=smooth(np.abs(self.effect)),
+        )
 
     def variance(self, spp: NDArray[np.int64]) -> Array:
         """(m,) relative variances that are to be expected of so many paths (rows, columns)."""
@@ -131,7 +141,10 @@ def allocate(needs: Needs, least: int, most: float) -> tuple[NDArray[np.int64], 
 
 def _density(needs: Needs, weights: Array, spp: NDArray[np.int64]) -> Array:
     """(rows, columns) paths per pixel, 1 on average, at which all blocks gain alike by one more."""
-    parts = np.einsum("m,mij->ij", weights, needs.linear + 2.0 * needs.degenerate / spp)
+    own = needs.linear + 2.0 * needs.degenerate / spp
+    sums = own.sum(axis=(1, 2)) / np.maximum(needs.effect.sum(axis=(1, 2)), _TINY)
+    parts = np.einsum("m,mij->ij", (1.0 - INFORMED) * weights, own)
+    parts += np.einsum("m,mij->ij", INFORMED * weights * sums, needs.effect)
     work = needs.pixels * needs.cost
     wanted = np.sqrt(np.divide(parts, work, out=np.zeros_like(parts), where=work > 0.0))
     mean = np.sum(wanted * work) / np.sum(work)

@@ -34,10 +34,15 @@ class BlockVariance:
     """(m, units), what goes with one over the number of paths."""
     degenerate: Array
     """(m, units), what goes with one over its square."""
+    effect: Array
+    """(m, units) bᵀ F̂_u b / (2 σ²), by which σ would be larger, in first order, without the unit."""
 
     def scaled(self, factor: float) -> BlockVariance:
-        """Of what is so many times as variable."""
-        return BlockVariance(self.corner, factor * self.linear, factor * self.degenerate)
+        """Of units that count so many times."""
+        square = factor**2
+        return BlockVariance(
+            self.corner, square * self.linear, square * self.degenerate, factor * self.effect
+        )
 
     @property
     def total(self) -> Array:
@@ -77,7 +82,8 @@ class BlockProducts:
         multiplicity = pack(2.0 - np.eye(self._columns))
         gradient = pack(vectors[:, :, None] * vectors[:, None, :]) * multiplicity / (2.0 * values[:, None])
         h = np.concatenate([gradient @ part for part in self._products], axis=-1)
-        d = h - h.mean(axis=0)
+        effect = h.mean(axis=0)
+        d = h - effect
         s = np.zeros((K, *d.shape[1:]))
         for pair, (k, j) in zip(d, combinations(range(K), 2), strict=True):
             s[k] += pair
@@ -85,4 +91,4 @@ class BlockProducts:
         between = np.sum(s**2, axis=0) / (K - 2)
         within = 2.0 * (np.sum(d**2, axis=0) - between) / (K * (K - 3))
         linear = 4.0 / (K * (K - 2)) * (between / (K - 1) - within)
-        return BlockVariance(np.concatenate(self._corners), linear, 2.0 / (K * (K - 1)) * within)
+        return BlockVariance(np.concatenate(self._corners), linear, 2.0 / (K * (K - 1)) * within, effect)

@@ -188,7 +188,7 @@ class Rounds:
         selection = self._run.selection
         scale = selection.total / selection.selected if selection.kind == "random" else 1.0
         precision = self._run.options.precision or PRECISION
-        rounds = [(products.variance(vectors, values).scaled(scale**2), spp) for products, spp in self._seen]
+        rounds = [(products.variance(vectors, values).scaled(scale), spp) for products, spp in self._seen]
         goal = np.full(6, precision**2)
         reported = np.square(_relative_errors(bound))
         fixed = np.maximum(reported - np.sum(rounds[-1][0].total, axis=1), 0.0)
