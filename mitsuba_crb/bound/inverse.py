@@ -9,12 +9,23 @@ share² / λ_99, and for no share M is the inverse of the seen block. With a sig
 infinite, unless the prior sees all of that share: then N in M is replaced by what the prior leaves of it.
 So what the image sees is decided without the prior, which can only help: var(aᵀξ) never exceeds its value
 without the prior, nor the prior's own.
+
+Failing to find a share proves none. With b = M a the share t = λ_99 Nᵀb has the covariance Σ of δF_ns b_s.
+It adds ‖t‖² / λ_99, with the error √(4 tᵀΣt + 2 tr Σ²) / λ_99, if the true eigenvalue λ is about λ_99, but
+of λ nothing is known save λ < λ_99. So a share is shown to be small only if three errors e = √tr Σ more,
+((‖t‖ + 3e)² − ‖t‖²) / λ_99, are 8 % of the variance at most, which λ_99 / 12 then doubles; otherwise the
+variance is infinite. Of a truly null N that part falls with the square root of the number of pixels.
+
+Whatever u, var(aᵀξ) ≥ (aᵀu)² / uᵀ(F + P)u (Cauchy–Schwarz), and uᵀFu has an upper limit (`resolution`): with
+u = M a, its seen part, and a's projections on what carries least, the largest is var(aᵀξ)'s lower limit.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from dataclasses import replace as dataclass_replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,18 +33,29 @@ from numpy.typing import NDArray
 from .. import se3
 from ..errors import OptionError
 from ..information.fisher import FisherInformation
-from ..information.identifiability import FLOAT32_FLOOR, Identifiability, identify
+from ..information.identifiability import FLOAT32_FLOOR, SIGNIFICANT, Identifiability, identify
+from ..information.resolution import Resolution, Verdict, resolve, upper_limits
 from ..information.significance import refuse_negative
 from ..information.symmetric import congruence, pack, symmetrised
 from ..noise.covariance import nearest_semidefinite, roots
 from ..se3 import Array
 from .prior import PosePrior
 
+LARGEST_TILT = 0.08
+"""Part of a variance that three errors of the tilt may add to it; beyond, it is not shown to be finite."""
+
 # Off-diagonal entries of a symmetric matrix occur twice in a trace but once in `pack`.
 _MULTIPLICITY = pack(2.0 - np.eye(6))
 
 # Smallest eigenvalue of a correlation matrix that leaves three digits of its inverse.
 _SMALLEST_CORRELATION = 1e-13
+
+
+class _Tilt(NamedTuple):
+    error: Array
+    """(m,), standard errors of the variances by the tilt, at λ_99."""
+    most: Array
+    """(m,), what three errors more of the tilt would add to them, at λ_99."""
 
 
 @dataclass(eq=False)
@@ -59,23 +81,59 @@ class Inverse:
         )
         U, N = self.identifiability.seen, self.identifiability.unseen
         F = (U * self.identifiability.eigenvalues[: U.shape[1]]) @ U.T
-        self.total, self.open = camera, N
+        self.total, self.open, self.known = camera, N, np.zeros((6, 6))
         if prior is not None:
             self.total, P = _with_prior(information, camera, prior)
-            self.open = _unseen_by_prior(self.identifiability, P)
+            self.open, self.known = _unseen_by_prior(self.identifiability, P), P
             F = F + P
         # Without any information nor noise there is no threshold; then every functional is hidden, and only
         # the scale of what the prior leaves open needs a floor.
         floor = self.identifiability.threshold or FLOAT32_FLOOR * float(np.trace(F)) or 1.0
-        self.precision = F
+        self.precision, self.floor = F, floor
         self.tilted = _inverse_root(F + floor * N @ N.T)
         self.informed = self.tilted if self.open is N else _inverse_root(F + floor * self.open @ self.open.T)
         self.covariance_of_entries = _scaled(self.total.covariance_of_entries, self.scale)
 
     def kinds(self, functionals: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Which functionals (m, 6) the information does not see, and which the prior does not see either."""
-        hidden = self.identifiability.has_share(functionals)
-        return hidden, hidden & self.identifiability.has_share(functionals, self.open)
+        variance = np.sum((functionals @ self.tilted) ** 2, axis=1)
+        hidden, unseen = (
+            self.identifiability.has_share(functionals, part)
+            | (self._tilt(functionals, part).most > LARGEST_TILT * variance)
+            for part in (self.identifiability.unseen, self.open)
+        )
+        return hidden, hidden & unseen
+
+    @cached_property
+    def resolution(self) -> Resolution:
+        """What neither the information nor the prior sees, and which part of it is proven unseen."""
+        return resolve(self.identifiability, self.open)
+
+    def verdicts(self, functionals: Array) -> tuple[Verdict, ...]:
+        """Of each functional (m, 6): finite, or a share of what is proven unseen, or neither."""
+        infinite = self.kinds(functionals)[1]
+        unseen = self.identifiability.has_share(functionals, self.resolution.unseen)
+        return tuple(
+            "seen" if not open_ else "unseen" if blind else "not resolved"
+            for open_, blind in zip(infinite, unseen, strict=True)
+        )
+
+    def lower_limits(self, functionals: Array) -> Array:
+        """(m,), what each functional's true standard deviation exceeds with a confidence of 99 %."""
+        hidden, _ = self.kinds(functionals)
+        tilted, informed = (functionals @ root @ root.T for root in (self.tilted, self.informed))
+        best = np.where(hidden[:, None], informed, tilted)
+        U, V = self.identifiability.seen, self.resolution.basis
+        parts = [V[:, :k] for k in range(1, V.shape[1] + 1)]
+        u = np.stack([best, best @ U @ U.T, *(functionals @ part @ part.T for part in parts)])
+        norms = np.linalg.norm(u, axis=-1)
+        u /= np.where(norms > 0.0, norms, 1.0)[..., None]
+        most = upper_limits(self.identifiability, u.reshape(-1, 6)).reshape(norms.shape)
+        most += np.einsum("kmi,ij,kmj->km", u, self.known, u)
+        shares = np.einsum("mi,kmi->km", functionals, u) ** 2
+        nothing = np.where(shares > 0.0, np.inf, 0.0)
+        squares = np.divide(shares, most, out=nothing, where=most > 0.0)
+        return np.asarray(np.sqrt(squares.max(axis=0)), dtype=np.float64)
 
     def covariance(self, functionals: Array) -> Array:
         """(m, m), with inf on the diagonal and nan off it for what is unseen."""
@@ -91,12 +149,13 @@ class Inverse:
         return covariance
 
     def standard_error(self, functionals: Array, std: Array) -> Array:
-        """(m,), of standard deviations: δ(σ²) = −bᵀ δF b with b = U Uᵀ M a."""
+        """(m,), of standard deviations: δ(σ²) = −bᵀ δF b with b = U Uᵀ M a, and the tilt's."""
         hidden, _ = self.kinds(functionals)
         U = self.identifiability.seen
         tilted, informed = (functionals @ root @ (root.T @ U) @ U.T for root in (self.tilted, self.informed))
         b = np.where(hidden[:, None], informed, tilted)
-        variance_error = _quadratic_error(b, self.covariance_of_entries)
+        tilt = np.where(hidden, 0.0, self._tilt(functionals, self.identifiability.unseen).error)
+        variance_error = np.hypot(_quadratic_error(b, self.covariance_of_entries), tilt)
         with np.errstate(invalid="ignore"):
             return np.where(np.isfinite(std), variance_error / (2.0 * std), np.nan)
 
@@ -129,6 +188,23 @@ class Inverse:
         variances, axes = np.linalg.eigh(self.covariance(finite.T @ functionals))
         semi_axes = np.concatenate([np.full(unseen.sum(), np.inf), np.sqrt(np.maximum(variances[::-1], 0.0))])
         return semi_axes, np.hstack([directions[:, unseen], finite @ axes[:, ::-1]])
+
+    def _tilt(self, functionals: Array, part: Array) -> _Tilt:
+        """What the tilt of a part (6, q) of the unseen subspace means for the variances of functionals."""
+        found = self.identifiability
+        b = functionals @ self.tilted @ self.tilted.T
+        share = self.floor * b @ part
+        inner = found.unseen.T @ part
+        gaps = found.eigenvalues[: found.rank, None] - found.eigenvalues[None, found.rank :]
+        response = np.einsum("as,sn,nq->asnq", b @ found.seen, gaps, inner)
+        covariance = np.einsum(
+            "asnq,snto,atop->aqp", response, found.tilt_covariance, response, optimize=True
+        )
+        square, spread = np.sum(share**2, axis=1), np.trace(covariance, axis1=1, axis2=2)
+        own = 4.0 * np.einsum("aq,aqp,ap->a", share, covariance, share)
+        own += 2.0 * np.sum(covariance**2, axis=(1, 2))
+        most = (np.sqrt(square) + SIGNIFICANT * np.sqrt(np.maximum(spread, 0.0))) ** 2
+        return _Tilt(np.sqrt(np.maximum(own, 0.0)) / self.floor, (most - square) / self.floor)
 
 
 def _with_prior(

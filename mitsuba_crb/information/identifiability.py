@@ -69,6 +69,8 @@ class Identifiability:
     """λ_99 of the unseen subspace, the float32 floor included; 0 if everything is seen."""
     tilt_covariance: Array
     """(r, 6−r, r, 6−r), covariance of (sᵀ δF n) / (λ_s − λ_n)."""
+    noise_root: Array
+    """(21, 21), takes standard normals (..., 21) to the entries of δF in the eigenvectors' basis."""
 
     @property
     def seen(self) -> Array:
@@ -97,6 +99,10 @@ class Identifiability:
         error = np.sqrt(np.maximum(variance, 0.0))
         return np.asarray((share > SMALLEST_SHARE) & (share > SIGNIFICANT * error))
 
+    def noise(self) -> Array:
+        """(draws, 6, 6), draws of VᵀδFV, V the eigenvectors; always the same ones."""
+        return _drawn(self.noise_root)
+
     def naming_tolerance(self, direction: Array) -> float:
         """Tilt that noise explains: below it an unseen direction (6,) may be called by an axis' name."""
         inner = self.unseen.T @ direction
@@ -116,7 +122,8 @@ def identify(matrix: Array, covariance_of_entries: Array) -> Identifiability:
     values, vectors = values[::-1], vectors[:, ::-1]
     T = congruence(vectors)
     covariance = T @ covariance_of_entries @ T.T
-    noise = unpack(_standard_normals() @ (symmetric_root(covariance_of_entries) @ T.T)).reshape(-1, 6, 6)
+    root = symmetric_root(covariance_of_entries) @ T.T
+    noise = _drawn(root)
     floor = FLOAT32_FLOOR * max(float(values[0]), 0.0)
     rank, threshold = 6, 0.0
     for r in range(6):
@@ -131,7 +138,7 @@ def identify(matrix: Array, covariance_of_entries: Array) -> Identifiability:
     entries = unpack(np.moveaxis(unpack(covariance), 0, -1))
     gaps = values[:rank, None] - values[None, rank:]
     tilt = entries[:rank, rank:, :rank, rank:] / (gaps[:, :, None, None] * gaps)
-    return Identifiability(values, vectors, rank, threshold, tilt)
+    return Identifiability(values, vectors, rank, threshold, tilt, root)
 
 
 def readable_basis(
@@ -239,6 +246,10 @@ def _sign(vector: Array) -> float:
 def _vector(vector: Array) -> str:
     numbers = (f"{v:.2f}".rstrip("0").rstrip(".") for v in vector / np.linalg.norm(vector))
     return "(" + ", ".join("0" if number == "-0" else number for number in numbers) + ")"
+
+
+def _drawn(root: Array) -> Array:
+    return unpack(_standard_normals() @ root).reshape(-1, 6, 6)
 
 
 @lru_cache(maxsize=1)

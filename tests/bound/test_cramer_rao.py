@@ -25,6 +25,9 @@ from mitsuba_crb.information.identifiability import identify
 from mitsuba_crb.information.linearisation import PixelSelection
 from mitsuba_crb.information.symmetric import pack, unpack
 
+PIXELS = 5000
+"""Fewer of them do not tell an axis from a null direction that noise has tilted towards it."""
+
 POSE = se3.exp([1.0, -2.0, 0.5, 0.4, -0.3, 0.8])
 R = POSE[:3, :3]
 
@@ -252,7 +255,7 @@ class TestUnseenDirections:
         """A mixed null direction, noisy estimates: both axes are infinite but for the rank rule's 1 %."""
         rng = np.random.default_rng(14)
         N = np.array([0.8, 0, 0, 0, 0.6, 0])
-        J = rng.normal(size=(150, 3, 6)) @ (np.eye(6) - np.outer(N, N))
+        J = rng.normal(size=(PIXELS, 3, 6)) @ (np.eye(6) - np.outer(N, N))
         plausible, spurious, naive = 0, 0, []
         for _ in range(100):
             information = _noisy(J, 0.3, rng, pose=np.eye(4))
@@ -263,8 +266,8 @@ class TestUnseenDirections:
         # At 1 % each, 5 or more of 100 have a probability of 0.3 %; so have 3 errors on any of 4 axes.
         assert plausible < 5
         assert spurious < 5
-        # Negative control: the plain inverse gives a finite number a few times the neighbour's.
-        assert np.median(naive) < 30 * bound.position_std[1]
+        # Negative control: the plain inverse gives a finite number some ten times the neighbour's.
+        assert np.median(naive) < 100 * bound.position_std[1]
 
     @pytest.mark.parametrize("tilt", [0.0, 1e-6, 1e-3, 0.0099])
     def test_a_small_share_is_finite_and_adds_share_squared_over_the_threshold(self, tilt):
@@ -287,10 +290,12 @@ class TestUnseenDirections:
     def test_a_share_that_noise_explains_is_not_infinite(self):
         """One null direction, an axis: noise tilts it by more than 0.01, but the other axes stay finite."""
         rng = np.random.default_rng(15)
-        J = rng.normal(size=(100, 3, 6)) @ np.diag([1, 0.0, 1, 1, 1, 1])
+        J = rng.normal(size=(PIXELS, 3, 6)) @ np.diag([1, 0.0, 1, 1, 1, 1])
+        J[100:] = 0.0  # few pixels see; all have noise along the null direction
+        noise = np.where(np.arange(6) == 1, 0.6, 0.05)
         tilts, spurious = [], 0
         for _ in range(100):
-            information = _noisy(J, 0.6, rng, pose=np.eye(4))
+            information = _noisy(J, noise, rng, pose=np.eye(4))
             bound = _quietly(information)
             others = np.concatenate([bound.position_std[[0, 2]], bound.rotation_std_deg])
             spurious += np.isinf(others).any()
@@ -456,19 +461,21 @@ class TestStandardErrors:
     def test_they_are_the_scatter_of_repetitions(self, unseen, length_scale):
         """The scatter of 100 runs is known to 7 %; 12 of them stay within 25 %."""
         rng = np.random.default_rng(19)
-        J = rng.normal(size=(150, 3, 6)) @ rng.normal(size=(6, 6))
+        mixed = np.eye(6) + 0.2 * rng.normal(size=(6, 6)) if unseen else rng.normal(size=(6, 6))
+        J = rng.normal(size=(PIXELS if unseen else 150, 3, 6)) @ mixed
         for direction in unseen:
             J = J @ (np.eye(6) - np.outer(direction, direction))
         bounds = [_quietly(_noisy(J, 0.6, rng, length_scale=length_scale)) for _ in range(100)]
         for name in ("position_std", "rotation_std_deg", "eigenvalues"):
             values = np.array([getattr(bound, name) for bound in bounds])
             errors = np.array([getattr(bound, f"{name}_standard_error") for bound in bounds])
-            finite = np.isfinite(values).all(axis=0)
+            np.testing.assert_array_equal(np.isnan(errors), np.isinf(values))
+            # An axis whose share of the null direction is three of its errors is infinite now and then.
+            finite = np.isfinite(values).mean(axis=0) > 0.95
             assert finite.sum() >= len(finite) - len(unseen)
-            ratio = errors[:, finite].mean(axis=0) / values[:, finite].std(axis=0)
+            values[np.isinf(values)] = np.nan
+            ratio = np.nanmean(errors[:, finite], axis=0) / np.nanstd(values[:, finite], axis=0)
             np.testing.assert_allclose(ratio, 1.0, atol=0.25)
-            if name != "eigenvalues":
-                assert np.isnan(errors[:, ~finite]).all()
 
     def test_no_noise_no_error(self):
         bound = cramer_rao_bound(_information(_random(20)))
