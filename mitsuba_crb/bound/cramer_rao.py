@@ -25,6 +25,7 @@ from ..files import Record
 from ..information.fisher import FisherInformation
 from ..information.identifiability import PoseDirection, readable_basis, weakest_direction
 from ..information.joint import JointInformation
+from ..information.resolution import Verdict, paths_to_decide, upper_limits
 from ..noise.covariance import positive_matrix
 from ..se3 import Array, Frame
 from .criteria import LAMBDA_MIN, KieferMean, LogDet
@@ -37,11 +38,9 @@ ALL_NUISANCES = "all of them"
 LARGEST_RELATIVE_ERROR = 0.1
 """A standard deviation whose relative standard error exceeds this raises a `PrecisionWarning`."""
 
-LARGEST_NOISE_FLOOR = 1e-3
-"""A noise floor above this fraction of the largest eigenvalue may hide what more samples would show."""
-
 _POSITION_NAMES = ("x", "y", "z")
 _ROTATION_NAMES = ("pitch", "yaw", "roll")
+_AXES = (*(f"position {axis}" for axis in _POSITION_NAMES), *_ROTATION_NAMES)
 
 
 # Rows are linear functionals of the scaled camera-frame twist.
@@ -64,6 +63,21 @@ class Optimality:
     """E-optimality, λ_min; zero where a direction is unseen."""
 
 
+Verdicts = tuple[Verdict, Verdict, Verdict]
+
+
+@dataclass(frozen=True, eq=False)
+class UnobservedDirection(PoseDirection):
+    """A direction that the bound does not see: because there is nothing, or because of too few paths."""
+
+    verdict: Verdict
+    """`"unseen"`: certainly below 1e-3 of the best-seen information; else `"not resolved"`."""
+    std_lower_limit: float
+    """Its standard deviation exceeds this at a confidence of 99 % [length scale and rad, as `direction`]."""
+    paths_factor: int | None
+    """About so many times the paths decide; None if nothing is to be decided, or nothing to compare with."""
+
+
 @dataclass(frozen=True, eq=False)
 class PoseBound(Record):
     """Lower bounds on the errors of every unbiased estimator of a camera's pose."""
@@ -78,10 +92,19 @@ class PoseBound(Record):
     """(3,), rotation about the camera's own axes: pitch x, yaw y, roll z [deg]."""
     rotation_std_deg_standard_error: Array
     """(3,), its Monte Carlo standard error [deg]; `nan` where the bound is infinite."""
+    position_verdict: Verdicts
+    """Of each: `"seen"` is finite, `"unseen"` certainly has a share of next to no information, and what is
+    `"not resolved"` has too few paths to tell."""
+    rotation_verdict: Verdicts
+    """The same of the rotations."""
+    position_std_lower_limit: Array
+    """(3,), what the true standard deviations exceed at a confidence of 99 % each [scene unit]."""
+    rotation_std_deg_lower_limit: Array
+    """(3,), the same of the rotations [deg]."""
     rank: int
     """Number of directions that are seen, by the image or the prior."""
-    unobserved: tuple[PoseDirection, ...]
-    """The other 6 − rank directions: an orthonormal basis of what is unseen, in the camera frame."""
+    unobserved: tuple[UnobservedDirection, ...]
+    """The other 6 − rank directions: an orthonormal basis in the camera frame, what is unseen first."""
     eigenvalues: Array
     """(6,), descending, of the information in the camera frame with translation in length scales."""
     eigenvalues_standard_error: Array
@@ -147,16 +170,52 @@ class PoseBound(Record):
         Raises:
             OptionError: `which` is neither.
         """
-        if which not in ("position", "rotation"):
-            raise OptionError(f"there is no ellipsoid {which!r}; expected 'position' or 'rotation'")
-        functionals = position_functionals(self.inverse) if which == "position" else TURN
-        semi_axes, directions = self.inverse.ellipsoid(functionals)
+        semi_axes, directions = self.inverse.ellipsoid(self._functionals(which))
         return sigma * semi_axes, directions
 
+    def verdicts_along(self, which: Literal["position", "rotation"], directions: Array) -> Verdicts:
+        """Whether each axis of the ellipsoid is seen, unseen or not resolved; `directions` in columns."""
+        return _three(self.inverse.verdicts(directions.T @ self._functionals(which)))
+
+    def _functionals(self, which: str) -> Array:
+        if which not in ("position", "rotation"):
+            raise OptionError(f"there is no ellipsoid {which!r}; expected 'position' or 'rotation'")
+        return position_functionals(self.inverse) if which == "position" else TURN
+
+    @property
+    def not_resolved(self) -> str | None:
+        """What too few paths leave open, and how many would decide, in words; None if that is nothing."""
+        verdicts = (*self.position_verdict, *self.rotation_verdict)
+        axes = [axis for axis, verdict in zip(_AXES, verdicts, strict=True) if verdict == "not resolved"]
+        unresolved = [u for u in self.unobserved if u.verdict == "not resolved"]
+        if not (axes or unresolved):
+            return None
+        what = ", ".join(axes) or "; ".join(u.description for u in unresolved)
+        factors = [u.paths_factor for u in unresolved]
+        known = [factor for factor in factors if factor is not None]
+        how = f"about {max(known)} times as many" if known and len(known) == len(factors) else "more"
+        return f"{what}: so few paths cannot tell little information from none; {how} would decide"
+
     def __str__(self) -> str:
-        position = _with_errors(_POSITION_NAMES, self.position_std, self.position_std_standard_error)
-        rotation = _with_errors(_ROTATION_NAMES, self.rotation_std_deg, self.rotation_std_deg_standard_error)
-        unseen = "; ".join(u.description for u in self.unobserved) or "nothing"
+        position = _with_errors(
+            _POSITION_NAMES,
+            self.position_std,
+            self.position_std_standard_error,
+            self.position_verdict,
+            self.position_std_lower_limit,
+        )
+        rotation = _with_errors(
+            _ROTATION_NAMES,
+            self.rotation_std_deg,
+            self.rotation_std_deg_standard_error,
+            self.rotation_verdict,
+            self.rotation_std_deg_lower_limit,
+        )
+        unseen, unresolved = (
+            "; ".join(u.description for u in self.unobserved if u.verdict == verdict)
+            for verdict in ("unseen", "not resolved")
+        )
+        unseen = (unseen or "nothing") + (unresolved and f", not resolved: {unresolved}")
         eigenvalues = ", ".join(f"{value:.3g}" for value in self.eigenvalues)
         return "\n".join(
             (
@@ -189,8 +248,8 @@ def cramer_rao_bound(
         OptionError: the prior is no symmetric positive semi-definite 6 x 6 matrix.
 
     Warns:
-        PrecisionWarning: a standard deviation is uncertain by more than 10 %, or noise hides so much that
-            unseen directions may only be unresolved.
+        PrecisionWarning: a standard deviation is uncertain by more than 10 %, or so few paths do not resolve
+            one.
 
     References:
         van Trees, "Detection, Estimation, and Modulation Theory", part I, 1968, sections 2.4.2 and 2.4.3.
@@ -210,10 +269,12 @@ def cramer_rao_bound(
         position_std_standard_error=inverse.standard_error(position, position_std),
         rotation_std_deg=rotation_std,
         rotation_std_deg_standard_error=inverse.standard_error(turn, rotation_std),
+        position_verdict=_three(inverse.verdicts(position)),
+        rotation_verdict=_three(inverse.verdicts(turn)),
+        position_std_lower_limit=inverse.lower_limits(position),
+        rotation_std_deg_lower_limit=inverse.lower_limits(turn),
         rank=6 - inverse.open.shape[1],
-        unobserved=readable_basis(
-            inverse.identifiability, inverse.open, inverse.total.pose, inverse.length_scale
-        ),
+        unobserved=_unobserved(inverse),
         eigenvalues=eigenvalues,
         eigenvalues_standard_error=eigenvalue_errors,
         noise_floor=inverse.identifiability.threshold,
@@ -275,12 +336,45 @@ def position_functionals(inverse: Inverse) -> Array:
     return np.hstack([inverse.length_scale * inverse.total.pose[:3, :3], np.zeros((3, 3))])
 
 
+def _three(verdicts: tuple[Verdict, ...]) -> Verdicts:
+    x, y, z = verdicts
+    return x, y, z
+
+
+def _unobserved(inverse: Inverse) -> tuple[UnobservedDirection, ...]:
+    """What is unseen and what is not resolved, each in words."""
+    found = inverse.identifiability
+    parts: tuple[tuple[Verdict, Array], ...] = (
+        ("unseen", inverse.resolution.unseen),
+        ("not resolved", inverse.resolution.unresolved),
+    )
+    directions = [
+        (verdict, direction)
+        for verdict, part in parts
+        for direction in readable_basis(found, part, inverse.total.pose, inverse.length_scale)
+    ]
+    if not directions:
+        return ()
+    vectors = np.array([direction.direction for _, direction in directions])
+    limits = upper_limits(found, vectors)
+    return tuple(
+        UnobservedDirection(
+            direction.direction,
+            direction.description,
+            verdict,
+            1.0 / math.sqrt(limit) if limit > 0.0 else math.inf,
+            paths_to_decide(found, limit) if verdict == "not resolved" else None,
+        )
+        for (verdict, direction), limit in zip(directions, limits.tolist(), strict=True)
+    )
+
+
 def _warn_of_imprecision(bound: PoseBound) -> None:
     errors = np.concatenate([bound.position_std_standard_error, bound.rotation_std_deg_standard_error])
     relative = np.nan_to_num(errors / np.concatenate([bound.position_std, bound.rotation_std_deg]))
     worst = int(np.argmax(relative))
     if relative[worst] > LARGEST_RELATIVE_ERROR:
-        name = (*(f"position {axis}" for axis in _POSITION_NAMES), *_ROTATION_NAMES)[worst]
+        name = _AXES[worst]
         factor = math.ceil((relative[worst] / LARGEST_RELATIVE_ERROR) ** 2)
         warnings.warn(
             f"the bound on {name} is uncertain by {relative[worst]:.0%} and may be too large; "
@@ -288,19 +382,19 @@ def _warn_of_imprecision(bound: PoseBound) -> None:
             PrecisionWarning,
             stacklevel=3,
         )
-    floor = bound.noise_floor / max(float(bound.eigenvalues[0]), np.finfo(float).tiny)
-    if bound.unobserved and LARGEST_NOISE_FLOOR < floor < np.inf and bound.rank > 0:
-        warnings.warn(
-            f"unseen means less than {floor:.1%} of the best-seen direction's information, which is all that "
-            "so few samples tell; what is weaker than that needs more of them",
-            PrecisionWarning,
-            stacklevel=3,
-        )
+    if bound.not_resolved is not None:
+        warnings.warn(f"not resolved: {bound.not_resolved}", PrecisionWarning, stacklevel=3)
 
 
-def _with_errors(names: tuple[str, ...], values: Array, errors: Array) -> str:
+def _with_errors(
+    names: tuple[str, ...], values: Array, errors: Array, verdicts: Verdicts, limits: Array
+) -> str:
     parts = (
-        f"{name} {value:.3g} ± {error:.1g}" if np.isfinite(value) else f"{name} inf"
-        for name, value, error in zip(names, values, errors, strict=True)
+        f"{name} {value:.3g} ± {error:.1g}"
+        if verdict == "seen"
+        else f"{name} inf"
+        if np.isinf(limit)
+        else f"{name} {'inf, ' if verdict == 'unseen' else ''}> {limit:.3g}"
+        for name, value, error, verdict, limit in zip(names, values, errors, verdicts, limits, strict=True)
     )
     return ", ".join(parts)

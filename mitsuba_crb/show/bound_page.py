@@ -6,7 +6,7 @@ import dataclasses
 import textwrap
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -210,19 +210,27 @@ def _empty(ax: Axes, shape: tuple[int, ...]) -> None:
 def _ellipsoids(place: Place, bound: PoseBound, left: float, top: float, sigma: float) -> None:
     """Two groups of three square panels, each group under a line with its standard deviations."""
     step = (_WIDTH - left - 0.15) / 6
-    heads: tuple[tuple[Literal["position", "rotation"], str, npt.NDArray[np.float64], str], ...] = (
-        ("position", "Position along world axes", bound.position_std, ""),
-        ("rotation", "Rotation about camera axes", bound.rotation_std_deg, "°"),
+    position = (bound.position_std, bound.position_verdict, bound.position_std_lower_limit)
+    rotation = (bound.rotation_std_deg, bound.rotation_verdict, bound.rotation_std_deg_lower_limit)
+    heads: tuple[tuple[Literal["position", "rotation"], str, tuple[Any, ...], str], ...] = (
+        ("position", "Position along world axes", position, ""),
+        ("rotation", "Rotation about camera axes", rotation, "°"),
     )
-    for group, (kind, head, deviations, unit) in enumerate(heads):
+    for group, (kind, head, numbers_of, unit) in enumerate(heads):
         lefts = [left + (3 * group + panel) * step + 0.4 for panel in range(3)]
         panels = [place(left, top + _HEADS, _PANEL, _PANEL) for left in lefts]
         draw_ellipsoid(panels, bound, kind, sigma=sigma)
         numbers = ", ".join(
-            f"{name} {f'{value:.2g}{unit}' if np.isfinite(value) else '∞ (unseen)'}"
-            for name, value in zip(AXIS_NAMES[kind], deviations, strict=True)
+            f"{name} {_deviation(value, verdict, limit, unit)}"
+            for name, value, verdict, limit in zip(AXIS_NAMES[kind], *numbers_of, strict=True)
         )
         panels[0].set_title(f"{head}, {sigma:g}σ", loc="left", fontsize=12, pad=24)
         panels[0].annotate(
             f"σ: {numbers}", (0, 1), (0, 8), "axes fraction", "offset points", fontsize=9, color=MUTED
         )
+
+
+def _deviation(value: float, verdict: str, limit: float, unit: str) -> str:
+    if verdict == "seen":
+        return f"{value:.2g}{unit}"
+    return "∞ (unseen)" if verdict == "unseen" else f"> {limit:.2g}{unit} (not resolved)"

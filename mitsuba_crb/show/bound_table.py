@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.text import Text
 
-from .terminal import new_table, number_with_error, print_facts, print_line, print_notes
+from .terminal import (
+    new_table,
+    number_by_verdict,
+    number_with_error,
+    print_facts,
+    print_line,
+    print_notes,
+)
 
 if TYPE_CHECKING:
     from ..bound.cramer_rao import PoseBound
@@ -39,6 +46,7 @@ def print_bound(console: Console, bound: PoseBound) -> None:
     )
     for text in facts.get("no_bound", ()):
         print_line(console, Text("no bound: ", style="bold red"), text)
+    print_not_resolved(console, bound)
     print_line(
         console, "No unbiased estimator of this camera's pose has smaller standard deviations than these:"
     )
@@ -46,8 +54,14 @@ def print_bound(console: Console, bound: PoseBound) -> None:
     if bound.if_known:
         _costs(console, bound)
     print_facts(console, _bound_facts(bound))
-    above = facts.get("no_bound", ())
+    above = [*facts.get("no_bound", ()), f"not resolved: {bound.not_resolved}"]
     print_notes(console, [text for text in facts.get("warnings", ()) if text not in above])
+
+
+def print_not_resolved(console: Console, bound: PoseBound) -> None:
+    """What the paths are too few for, above the table that it overturns."""
+    if bound.not_resolved is not None:
+        print_line(console, Text("not resolved: ", style="bold red"), bound.not_resolved)
 
 
 def print_hcr(console: Console, bound: HCRBound) -> None:
@@ -83,12 +97,29 @@ def print_deviations(console: Console, bound: PoseBound, owner: str = "camera") 
     table.add_column("± its error", justify="right")
     table.add_column("unit")
     groups = (
-        (_POSITION, bound.position_std, bound.position_std_standard_error, "scene unit"),
-        (_ROTATION, bound.rotation_std_deg, bound.rotation_std_deg_standard_error, "deg"),
+        (
+            _POSITION,
+            bound.position_std,
+            bound.position_std_standard_error,
+            bound.position_verdict,
+            bound.position_std_lower_limit,
+            "scene unit",
+        ),
+        (
+            _ROTATION,
+            bound.rotation_std_deg,
+            bound.rotation_std_deg_standard_error,
+            bound.rotation_verdict,
+            bound.rotation_std_deg_lower_limit,
+            "deg",
+        ),
     )
-    for names, deviations, errors, unit in groups:
-        for name, deviation, error in zip(names, deviations, errors, strict=True):
-            table.add_row(name.format(owner), *number_with_error(float(deviation), float(error)), unit)
+    for names, deviations, errors, verdicts, limits, unit in groups:
+        for name, deviation, error, verdict, limit in zip(
+            names, deviations, errors, verdicts, limits, strict=True
+        ):
+            number = number_by_verdict(float(deviation), float(error), verdict, float(limit))
+            table.add_row(name.format(owner), *number, unit)
         table.add_section()
     console.print(table)
 
@@ -105,22 +136,23 @@ def _costs(console: Console, bound: PoseBound) -> None:
     table.add_column("derivative by")
     how = bound.provenance.get("nuisances", {})
     values = [*bound.position_std, *bound.rotation_std_deg]
+    verdicts = [*bound.position_verdict, *bound.rotation_verdict]
     for name, known in bound.if_known.items():
         without = [*known.position_std, *known.rotation_std_deg]
-        table.add_row(Text(name), *map(_factor, values, without), how.get(name, ""))
+        table.add_row(Text(name), *map(_factor, values, without, verdicts), how.get(name, ""))
     console.print(table)
 
 
-def _factor(value: float, known: float) -> str:
-    if math.isinf(value):
-        return "∞" if math.isinf(known) else "unseen"
-    return f"× {value / known:.2f}"
+def _factor(value: float, known: float, verdict: str) -> str:
+    if verdict == "seen":
+        return f"× {value / known:.2f}"
+    return "∞" if verdict == "unseen" and math.isinf(known) else verdict
 
 
 def _bound_facts(bound: PoseBound) -> list[tuple[str, str]]:
     facts = bound.provenance
     rows = [("rank", f"{bound.rank} of 6")]
-    rows += [("unseen", direction.description) for direction in bound.unobserved]
+    rows += unobserved_facts(bound)
     if bound.weakest is not None:
         rows.append(("weakest seen", bound.weakest.description))
     scalars = bound.optimality
@@ -169,6 +201,16 @@ def _paths(facts: dict[str, Any]) -> str:
         own = f"{spp['least']} to {own} where they were needed, {spp['mean']:.3g} on average,"
     before = f" after {rounds} round{'s' * (rounds > 1)} that decided on them" if rounds else ""
     return f"{own}{before}"
+
+
+def unobserved_facts(bound: PoseBound) -> list[tuple[str, str]]:
+    """The directions that are not seen, and how many paths decide those that are not resolved."""
+    rows: list[tuple[str, str]] = []
+    for direction in bound.unobserved:
+        factor = direction.paths_factor
+        how = "" if factor is None else f" (about {factor} times the paths decide)"
+        rows.append((direction.verdict, f"{direction.description}{how}"))
+    return rows
 
 
 def _differences(found: dict[str, Any]) -> str:

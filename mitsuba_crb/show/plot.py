@@ -129,6 +129,7 @@ def draw_ellipse(
     *,
     reach: float,
     colour: str = "black",
+    unresolved: bool = False,
 ) -> list[Artist]:
     """The shadow of an ellipsoid on a coordinate plane; a band, or all of it, where an axis is unseen.
 
@@ -139,6 +140,7 @@ def draw_ellipse(
         plane: the two coordinates to draw.
         reach: half the side of the drawn square, in the unit of `semi_axes`.
         colour: of outline and fill.
+        unresolved: whether an infinite axis is not resolved, and not proven unseen: dashed, without hatching.
     """
     unseen = ~np.isfinite(semi_axes)
     shadow = directions[list(plane)]
@@ -156,18 +158,27 @@ def draw_ellipse(
         # the ellipse M·(cos, sin) with M Mᵀ the projected shape matrix
         angle = np.linspace(0, 2 * np.pi, 181)
         outline = (symmetric_root(finite @ finite.T) @ [np.cos(angle), np.sin(angle)]).T
-    hatch = "////" if blind else None
+    dashes = "--" if blind and unresolved else "-"
     drawn: list[Artist] = [
         ax.add_patch(Polygon(outline, facecolor=colour, edgecolor="none", alpha=0.16)),
-        ax.add_patch(Polygon(outline, fill=False, edgecolor=colour, linewidth=1.6)),
+        ax.add_patch(Polygon(outline, fill=False, edgecolor=colour, linewidth=1.6, linestyle=dashes)),
     ]
     if blind:
-        drawn[0].set(hatch=hatch, edgecolor=colour)
+        if not unresolved:
+            drawn[0].set(hatch="////", edgecolor=colour)
         badge = {"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": colour, "linewidth": 0.8}
-        drawn.append(ax.text(0, 0, "unseen", color=colour, ha="center", va="center", fontsize=9, bbox=badge))
+        name = "not resolved" if unresolved else "unseen"
+        drawn.append(ax.text(0, 0, name, color=colour, ha="center", va="center", fontsize=9, bbox=badge))
         if blind == 1:
             tip = 0.92 * reach * lines[:, 0] / np.abs(lines[:, 0]).max()
-            style = {"arrowstyle": "<->", "color": colour, "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0}
+            style = {
+                "arrowstyle": "<->",
+                "color": colour,
+                "linewidth": 1.2,
+                "linestyle": dashes,
+                "shrinkA": 0,
+                "shrinkB": 0,
+            }
             drawn.append(ax.annotate("", tip, -tip, arrowprops=style))
             drawn[-2].set_zorder(drawn[-1].get_zorder() + 1)
     return drawn
@@ -186,6 +197,7 @@ def draw_ellipsoid(
     """
     semi_axes, directions = bound.ellipsoid(kind, sigma=sigma)
     seen = np.isfinite(semi_axes)
+    unresolved = np.array([v == "not resolved" for v in bound.verdicts_along(kind, directions)])
     extent = np.linalg.norm(directions[:, seen] * semi_axes[seen], axis=1).max(initial=0.0)
     exponent = int(np.floor(np.log10(extent))) if extent > 0 else 0
     reach = 1.3 * extent / 10.0**exponent if extent > 0 else 1.0
@@ -193,7 +205,13 @@ def draw_ellipsoid(
     drawn: list[Artist] = []
     for ax, plane in zip(axes, _PLANES, strict=True):
         drawn += draw_ellipse(
-            ax, semi_axes / 10.0**exponent, directions, plane, reach=reach, colour=_COLOURS[kind]
+            ax,
+            semi_axes / 10.0**exponent,
+            directions,
+            plane,
+            reach=reach,
+            colour=_COLOURS[kind],
+            unresolved=bool(np.any(unresolved & (np.linalg.norm(directions[list(plane)], axis=0) > _TILT))),
         )
         ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
         ax.axhline(0, color=MUTED, linewidth=0.5, alpha=0.5, zorder=0)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.text import Text
 
-from .bound_table import print_deviations
+from .bound_table import print_deviations, print_not_resolved, unobserved_facts
 from .terminal import new_table, print_facts, print_line, print_notes
 
 if TYPE_CHECKING:
@@ -24,16 +24,20 @@ def print_fusion(console: Console, team: Team, result: TeamFusion) -> None:
     for head in ("agent", "rank", "share", "unseen alone"):
         table.add_column(head, justify="right" if head in ("rank", "share") else "left")
     for share, bound in zip(result.fusion.agents, result.bounds, strict=True):
-        unseen = "; ".join(direction.description for direction in bound.unobserved)
+        unseen = "; ".join(
+            f"{direction.description}{' (not resolved)' if direction.verdict != 'unseen' else ''}"
+            for direction in bound.unobserved
+        )
         table.add_row(Text(share.name), f"{share.rank} of 6", f"{share.share:.1%}", unseen or "nothing")
     console.print(table)
     bound = result.fusion.bound
+    print_not_resolved(console, bound)
     print_line(
         console, f"No unbiased estimator of the pose of {team.body!r} from all images has less than these:"
     )
     print_deviations(console, bound, "body")
     rows = [("rank", f"{bound.rank} of 6")]
-    rows += [("unseen", direction.description) for direction in bound.unobserved]
+    rows += unobserved_facts(bound)
     rows.append(("length scale", f"{bound.length_scale:.4g} scene units (the largest of the agents')"))
     rows += _whites([bound.provenance["noise"] for bound in result.bounds])
     print_facts(console, rows)

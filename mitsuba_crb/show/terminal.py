@@ -78,6 +78,14 @@ class Bar:
         self._doing = f"{known} so far{hidden}; measuring"
 
 
+def number_by_verdict(value: float, error: float, verdict: str, limit: float) -> tuple[str, str]:
+    """The same of a standard deviation that may be unseen or not resolved: its lower limit then."""
+    if verdict == "seen":
+        return number_with_error(value, error)
+    least = "" if math.isinf(limit) else f"> {limit:.3g}"
+    return (_UNSEEN, least) if verdict == "unseen" else (least, verdict)
+
+
 @contextmanager
 def progress() -> Iterator[Bar]:
     """A bar on standard error, on a terminal only."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import warnings
 from typing import ClassVar
 
@@ -635,7 +636,7 @@ class TestOutput:
         ).splitlines()
         assert len(lines) == 6
         assert "[scene unit], world axes" in lines[0]
-        assert "roll inf [deg], camera axes" in lines[1]
+        assert re.search(r"roll inf, > \d\S+ \[deg\], camera axes", lines[1])
         assert "5 of 6" in lines[2]
         assert "rotation about the optical axis (roll)" in lines[3]
         assert "unseen        nothing" in str(cramer_rao_bound(_information(_random(28))))
@@ -657,6 +658,10 @@ class TestOutput:
             "position_std_standard_error",
             "rotation_std_deg",
             "rotation_std_deg_standard_error",
+            "position_verdict",
+            "rotation_verdict",
+            "position_std_lower_limit",
+            "rotation_std_deg_lower_limit",
             "eigenvalues",
             "eigenvalues_standard_error",
             "rank",
