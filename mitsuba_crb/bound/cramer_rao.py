@@ -262,6 +262,7 @@ def cramer_rao_bound(
     with np.errstate(invalid="ignore"):
         position_std = np.sqrt(np.diagonal(position_covariance))
         rotation_std = np.sqrt(np.diagonal(rotation_covariance))
+    limits = inverse.lower_limits(np.vstack([position, turn]))
     eigenvalues, eigenvalue_errors = inverse.eigenvalues()
     bound = PoseBound(
         covariance=inverse.covariance(twist),
@@ -271,8 +272,8 @@ def cramer_rao_bound(
         rotation_std_deg_standard_error=inverse.standard_error(turn, rotation_std),
         position_verdict=_three(inverse.verdicts(position)),
         rotation_verdict=_three(inverse.verdicts(turn)),
-        position_std_lower_limit=inverse.lower_limits(position),
-        rotation_std_deg_lower_limit=inverse.lower_limits(turn),
+        position_std_lower_limit=limits[:3],
+        rotation_std_deg_lower_limit=limits[3:],
         rank=6 - inverse.open.shape[1],
         unobserved=_unobserved(inverse),
         eigenvalues=eigenvalues,

@@ -192,6 +192,8 @@ class Inverse:
     def _tilt(self, functionals: Array, part: Array) -> _Tilt:
         """What the tilt of a part (6, q) of the unseen subspace means for the variances of functionals."""
         found = self.identifiability
+        if part.shape[1] == 0:
+            return _Tilt(np.zeros(len(functionals)), np.zeros(len(functionals)))
         b = functionals @ self.tilted @ self.tilted.T
         share = self.floor * b @ part
         inner = found.unseen.T @ part

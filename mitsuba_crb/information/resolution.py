@@ -16,17 +16,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Literal
 
 import numpy as np
 
 from ..se3 import Array
 from .identifiability import CONFIDENCE, FLOAT32_FLOOR, Identifiability
+from .symmetric import pack
 
 Verdict = Literal["seen", "unseen", "not resolved"]
 
 UNSEEN = 1e-3
 """What certainly carries less than this part of the best-seen eigenvalue is unseen."""
+
+_QUANTILE = NormalDist().inv_cdf(CONFIDENCE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +75,10 @@ def upper_limits(found: Identifiability, vectors: Array) -> Array:
     """(m,), what the true uᵀFu of vectors u (m, 6) stays below with a confidence of 99 % each."""
     r = found.rank
     w = vectors @ found.eigenvectors
+    if r == 6:  # no tilt, so that the quantile is a normal's
+        gradient = pack(w[:, :, None] * w[:, None, :]) * pack(2.0 - np.eye(6))
+        errors = np.linalg.norm(gradient @ found.noise_root.T, axis=1)
+        return np.asarray(w**2 @ found.eigenvalues + _QUANTILE * errors, dtype=np.float64)
     noise = found.noise()
     values = np.concatenate([found.eigenvalues[:r], np.maximum(found.eigenvalues[r:], 0.0)])
     drawn = np.einsum("dmi,mi->dm", w @ noise, w)

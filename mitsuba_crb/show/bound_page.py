@@ -233,4 +233,4 @@ def _ellipsoids(place: Place, bound: PoseBound, left: float, top: float, sigma: 
 def _deviation(value: float, verdict: str, limit: float, unit: str) -> str:
     if verdict == "seen":
         return f"{value:.2g}{unit}"
-    return "∞ (unseen)" if verdict == "unseen" else f"> {limit:.2g}{unit} (not resolved)"
+    return "∞ (unseen)" if verdict == "unseen" else f"> {limit:.2g}{unit}"
