@@ -108,7 +108,7 @@ def _jacobians(rng: np.random.Generator) -> Iterator[Record]:
 def per_tile(rng: np.random.Generator) -> JointInformation:
     """With a nuisance that has a value in every tile."""
     F = {count: rng.normal(size=(count, count)) for count in (7, 28)}
-    sums = Sums(F[7] @ F[7].T, F[28] @ F[28].T, F[7] @ F[7].T)
+    sums = Sums(F[7] @ F[7].T, F[28] @ F[28].T, F[7] @ F[7].T, 0.01 * F[7] @ F[7].T)
     per = {frozenset(): sums, frozenset({"black:8"}): sums, frozenset({"black:8", "type"}): sums}
     return JointInformation(sums=per, parameters=("gain",), per_tile=("black:8",), linearisation=about())
 

@@ -247,7 +247,7 @@ class _Windows:
         image = np.full((height, width), np.nan)
         tensor, variance = np.zeros((height, width, 2, 2)), np.zeros((height, width))
         for part, weights in run.weighted_tiles(model):
-            accumulator.add(part.batch_values, weights, part.pixels)
+            accumulator.add(part.batch_values, weights, part.pixels, part.bias)
             x, y = part.pixels.T
             image[y, x] = part.mean.mean(axis=1)
             tensor[y, x], variance[y, x] = _structure_tensors(part, camera, weights)

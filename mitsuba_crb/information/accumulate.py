@@ -26,7 +26,7 @@ from ..noise import CoupledNoise, NoiseModel
 from ..se3 import Array
 from .block_variance import BlockProducts
 from .blocks import in_squares
-from .coupled import CoupledComponents, ordered_products
+from .coupled import CoupledComponents, mean_of_ordered, ordered_products
 from .fisher import FisherInformation
 from .image_jacobian import ImageJacobian
 from .linearisation import Linearisation, PixelSelection
@@ -64,6 +64,9 @@ class Sums:
     """(E, E), E = P (P + 1) / 2, of its upper triangle in `numpy.triu_indices(P)` order."""
     plain_matrix: Array
     """(P, P), ĴᵀWĴ."""
+    bias: Array
+    """(P, P), Σ b_u F̂_u, what F̂ may be wrong by for the way pixels were measured; its square is in the
+    covariance."""
 
     def transform(self, old_from_new: Array) -> Sums:
         """Aᵀ F A of the columns J A, A (P, Q), and the covariance of its entries."""
@@ -72,6 +75,7 @@ class Sums:
             symmetrised(A.T @ self.matrix @ A),
             T @ self.covariance_of_entries @ T.T,
             symmetrised(A.T @ self.plain_matrix @ A),
+            symmetrised(A.T @ self.bias @ A),
         )
 
     def information(self, linearisation: Linearisation) -> FisherInformation:
@@ -196,13 +200,20 @@ class InformationAccumulator:
                 self._sum += self._units.add(unit_products(grams, self._batches)).sum(axis=1)
                 self._plain += mean_of_batches(grams.sum(axis=0), self._batches)
 
-    def add_coupled(self, batch_values: ArrayLike, noise: CoupledNoise, pixels: ArrayLike) -> None:
+    def add_coupled(
+        self,
+        batch_values: ArrayLike,
+        noise: CoupledNoise,
+        pixels: ArrayLike,
+        bias: NDArray[np.float64] | None = None,
+    ) -> None:
         """Add all pixels of an image whose noise is correlated between them: they must come in one call.
 
         Args:
             batch_values: (K, n, C, P), as for `add`.
             noise: solves with the covariance of these pixels' noise.
             pixels: (n, 2), column x and row y.
+            bias: (n,), as for `add`; a pixel's information is sym(J_uᵀ(Σ⁻¹J)_u).
 
         Raises:
             NoiseError: the accumulator was not made for coupled pixels.
@@ -222,6 +233,10 @@ class InformationAccumulator:
         n, C, K, P = columns.shape
         solved = noise.solve(positions[order], columns.reshape(n, C, K * P)).reshape(n, C, K, P)
         self._informative = self._informative or bool(solved.any())
+        if bias is not None and bias.any():
+            by_bias = (bias[order, None, None, None] * columns).reshape(1, n * C, K, P)
+            products = ordered_products(by_bias, solved.reshape(1, n * C, K, P))
+            self._bias += mean_of_ordered(products)[:, 0]
         self._plain += symmetrised(
             columns.mean(axis=2).reshape(n * C, P).T @ solved.mean(axis=2).reshape(n * C, P)
         )
@@ -248,7 +263,7 @@ class InformationAccumulator:
     def added(self) -> Sums:
         """F̂ of all P columns from the pixels added so far and of no others; zero if they tell nothing."""
         covariance = self._units.positive + np.outer(self._bias, self._bias)
-        return Sums(unpack(self._sum), covariance, self._plain)
+        return Sums(unpack(self._sum), covariance, self._plain, unpack(self._bias))
 
     def sums(self, selection: PixelSelection) -> Sums:
         """F̂ of all P columns from everything added so far, scaled to the whole image for a random subset.
@@ -274,7 +289,7 @@ class InformationAccumulator:
             raise PixelsError("a random subset of one pixel has no sampling variance; select at least two")
         bias = N / n * self._bias
         covariance = self._units.covariance(self._sum, n, N) + np.outer(bias, bias)
-        return Sums(N / n * unpack(self._sum), covariance, N / n * self._plain)
+        return Sums(N / n * unpack(self._sum), covariance, N / n * self._plain, unpack(bias))
 
     def _order(self, pixels: NDArray[np.integer]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """By unit, then by pixel, so that the sums do not depend on the order given: see `in_squares`."""
@@ -325,7 +340,13 @@ class Accumulator(Protocol):
     ) -> None:
         """See `InformationAccumulator.add`."""
 
-    def add_coupled(self, batch_values: ArrayLike, noise: CoupledNoise, pixels: ArrayLike) -> None:
+    def add_coupled(
+        self,
+        batch_values: ArrayLike,
+        noise: CoupledNoise,
+        pixels: ArrayLike,
+        bias: NDArray[np.float64] | None = None,
+    ) -> None:
         """See `InformationAccumulator.add_coupled`."""
 
 
@@ -348,7 +369,7 @@ def sum_image(
     """
     noise.check(*jacobian.image.shape)
     if isinstance(noise, CoupledNoise):
-        accumulator.add_coupled(jacobian.batch_values, noise, jacobian.pixels)
+        accumulator.add_coupled(jacobian.batch_values, noise, jacobian.pixels, jacobian.bias)
         return
     if mean is not None:
         jacobian = dataclass_replace(jacobian, pilot=np.asarray(mean, dtype=np.float64))

@@ -41,7 +41,7 @@ class CoupledComponents(VarianceComponents):
         if self.kept is not None:
             self.kept.add(h)
         K = self._batches
-        mean = (h.sum(axis=(0, 1)) - np.einsum("kkeu->eu", h)) / (K * (K - 1))
+        mean = mean_of_ordered(h)
         # Coefficients of F Fᵀ cancel in both covariances, so F̂ may be taken off beforehand.
         d = h - mean
         d[np.arange(K), np.arange(K)] = 0.0
@@ -54,7 +54,7 @@ class CoupledComponents(VarianceComponents):
         doubled = [gram((d[k, j] + d[j, k]).T) for k, j in combinations(range(K), 2)]
         disjoint = np.sum(doubled, axis=0) - np.sum(lacking, axis=0)
         self._sums += np.stack([same, rows, columns, disjoint])
-        return np.asarray(mean, dtype=np.float64)
+        return mean
 
     def _parts(self) -> tuple[Array, Array, Array]:
         """4/K Cov[α], 2/(K(K−1)) Cov[e], and ⟨h_kl h_klᵀ⟩ about the mean."""
@@ -82,3 +82,9 @@ def ordered_products(values: Array, solved: Array) -> Array:
     products = values.reshape(units, rows, K * P).swapaxes(1, 2) @ solved.reshape(units, rows, K * P)
     paired = products.reshape(units, K, P, K, P).transpose(1, 3, 0, 2, 4)
     return np.moveaxis(pack(symmetrised(paired)), -1, -2)
+
+
+def mean_of_ordered(h: Array) -> Array:
+    """F̂ of every unit (E, units), from `ordered_products`: their mean over k ≠ l."""
+    K = len(h)
+    return np.asarray((h.sum(axis=(0, 1)) - np.einsum("kkeu->eu", h)) / (K * (K - 1)), dtype=np.float64)

@@ -114,10 +114,19 @@ class JointInformation(Linearised):
         Raises:
             NuisanceError: nothing was decided of some nuisance.
         """
+        return self._left.information(self.linearisation)
+
+    @property
+    def bias(self) -> Array:
+        """(6, 6), what `information` may be wrong by, see `Sums.bias`; errors as there."""
+        return self._left.bias
+
+    @property
+    def _left(self) -> Sums:
         undecided = [name for name in self.names if name not in self.treatment]
         if undecided:
             raise NuisanceError(f"say of {', '.join(undecided)} whether to marginalize() or to fix() it")
-        return self._unknown_sums.transform(self.elimination).information(self.linearisation)
+        return self._unknown_sums.transform(self.elimination)
 
     @property
     def elimination(self) -> Array:
@@ -235,9 +244,15 @@ class JointAccumulator:
             self._tiles.add(int(number))
             self._add_tile(values, precision, positions, bias, np.flatnonzero(tile == number))
 
-    def add_coupled(self, batch_values: ArrayLike, noise: CoupledNoise, pixels: ArrayLike) -> None:
+    def add_coupled(
+        self,
+        batch_values: ArrayLike,
+        noise: CoupledNoise,
+        pixels: ArrayLike,
+        bias: NDArray[np.float64] | None = None,
+    ) -> None:
         """Add all pixels of an image whose noise is correlated; see `InformationAccumulator.add_coupled`."""
-        self._parts[frozenset()].add_coupled(batch_values, noise, pixels)
+        self._parts[frozenset()].add_coupled(batch_values, noise, pixels, bias)
 
     def information(self, linearisation: Linearisation) -> JointInformation:
         """The joint information of everything added so far, with nothing decided of any nuisance.

@@ -7,28 +7,23 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..information.accumulate import InformationAccumulator
-from ..information.blocks import BLOCK
-from ..information.fisher import FisherInformation
+from ..information.joint import JointInformation
 from ..jacobian.closure import FilmBlocks
 from .tile_jacobian import TileJacobian
 
 
 @dataclass
 class Differences:
-    """Sums over the tiles of a measurement."""
+    """Counts over the tiles of a measurement."""
 
     blocks: Counter[str] = field(default_factory=Counter)
     """How many of the film's blocks, by why."""
-    matrix: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 6)))
-    """Their part of F̂, in the camera frame."""
     step_bias: float = 0.0
-    """Relative error that their step may leave in it."""
+    """Relative error that their step may leave in their part of F̂."""
 
-    def add(self, tile: TileJacobian, weights: NDArray[np.float64]) -> None:
-        """What of a tile under a noise model's weights was measured so."""
+    def add(self, tile: TileJacobian) -> None:
+        """What of a tile was measured so."""
         if tile.causes is None:
             return
         rows = tile.causes != None  # noqa: E711  # an array
@@ -38,16 +33,17 @@ class Differences:
         first = np.unique(FilmBlocks.of(pixels).home, return_index=True)[1]
         self.blocks.update(causes[first].tolist())
         self.step_bias = tile.step_bias
-        part = InformationAccumulator(batches=len(tile.batch_values), block=BLOCK)
-        part.add(tile.batch_values[:, rows], weights[rows], pixels)
-        self.matrix += part.added.matrix
 
-    def to_dict(self, information: FisherInformation) -> dict[str, Any]:
-        """Their share of an information's trace, in scaled units, JSON-able."""
-        total = float(np.diagonal(information.matrix) @ information.scale**2)
-        part = float(np.diagonal(self.matrix) @ information.scale**2)
+    def to_dict(self, joint: JointInformation) -> dict[str, Any]:
+        """Their share of the trace of the pose's information, in scaled units, JSON-able.
+
+        Args:
+            joint: of all these tiles and no others; its bias is that of the step, of their part alone.
+        """
+        matrix, squared = joint.information.matrix, joint.scale**2
+        part, total = (float(np.diagonal(found) @ squared) for found in (joint.bias, matrix))
         return {
-            "share": part / total if total > 0.0 else 0.0,
+            "share": part / (self.step_bias * total) if self.step_bias and total > 0.0 else 0.0,
             "step_bias": self.step_bias,
             "blocks": dict(self.blocks),
         }

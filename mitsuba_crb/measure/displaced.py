@@ -71,7 +71,7 @@ def hcr_bound(
         local = InformationAccumulator(batches=run.options.batches, block=run.block, sampled=sampled)
         sums = _Sums(run.options.batches, len(xi), sampled)
         for part, weights in run.weighted_tiles(model):
-            local.add(part.batch_values, weights, part.pixels)
+            local.add(part.batch_values, weights, part.pixels, part.bias)
             sums.add(part.batch_values, _changes(run, part.pixels, xi), part.mean, weights, part.pixels)
         information = local.information(run.linearisation)
         inner, cross, errors, floor = sums.result(run.selection)

@@ -250,7 +250,7 @@ class Measurement:
             x, y = part.pixels.T
             image[y, x], expected[y, x], measured[y, x] = part.mean, part.expected, True
             values[:, place[y, x]] = part.all_values
-            bias[place[y, x]] = 0.0 if part.bias is None else part.bias
+            bias[place[y, x]] = part.bias
         kept = measured[self.mask]
         return ImageJacobian(
             batch_values=values if kept.all() else values[:, kept],
@@ -274,11 +274,14 @@ class Measurement:
         if isinstance(noise, CoupledNoise):
             parts = list(self.tiles())
             values = np.concatenate([part.all_values for part in parts], axis=1)
-            accumulator.add_coupled(values, noise, np.concatenate([part.pixels for part in parts]))
+            pixels = np.concatenate([part.pixels for part in parts])
+            accumulator.add_coupled(values, noise, pixels, np.concatenate([part.bias for part in parts]))
+            for part in parts:
+                self.differences.add(part)
             return
         for part, weights in self.weighted_tiles(noise):
             accumulator.add(part.all_values, weights, part.pixels, part.bias)
-            self.differences.add(part, weights)
+            self.differences.add(part)
 
     def information(self, noise: NoiseModel) -> FisherInformation:
         """Of the pose, in the camera frame, with all nuisances known."""

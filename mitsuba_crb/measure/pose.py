@@ -101,7 +101,7 @@ def pose_bound(
         **found.provenance,
         "noise": found.run.noise_facts(model, origin),
         "noise_inflation": alone.information.noise_inflation,
-        "finite_differences": found.run.differences.to_dict(alone.information),
+        "finite_differences": found.run.differences.to_dict(alone),
         "warnings": list(dict.fromkeys(str(warning.message) for warning in caught)),
         "no_bound": list(
             dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, BlindSpotWarning))

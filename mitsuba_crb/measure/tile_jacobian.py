@@ -56,10 +56,8 @@ class TileJacobian:
         )
 
     @property
-    def bias(self) -> NDArray[np.float64] | None:
-        """(n,) relative error of their information by the step of finite differences; None without any."""
-        if not self.step_bias:
-            return None
+    def bias(self) -> NDArray[np.float64]:
+        """(n,) relative error of their information by the step of finite differences, 0 without any."""
         if self.causes is None:
             return np.full(len(self.pixels), self.step_bias)
         return np.where(self.causes != None, self.step_bias, 0.0)  # noqa: E711  # an array

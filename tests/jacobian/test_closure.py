@@ -8,16 +8,19 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from matrices import misfit
 from small_scenes import T, camera, scene, wall
 
-from mitsuba_crb import pose_bound
-from mitsuba_crb.information.accumulate import InformationAccumulator
+from mitsuba_crb import pose_bound, pose_jacobian
+from mitsuba_crb.information.accumulate import InformationAccumulator, Sums
+from mitsuba_crb.information.joint import joint_information
 from mitsuba_crb.jacobian import flow
 from mitsuba_crb.jacobian.closure import FilmBlocks, _square, apart, breaches, suspects, together
 from mitsuba_crb.jacobian.finite_difference import BIAS, edge_bias, edge_misfit, order_of, step_for
 from mitsuba_crb.jacobian.silhouettes import Contours
-from mitsuba_crb.noise import Gaussian
+from mitsuba_crb.noise import CoupledNoise, Gaussian, LowRankPlusDiagonal, Stationary
 from mitsuba_crb.render.film import PixelFilter
+from mitsuba_crb.se3 import Array
 
 pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")
 
@@ -138,13 +141,7 @@ def test_an_instance_has_the_information_of_its_mesh() -> None:
     assert set(instance.provenance["finite_differences"]["blocks"]) <= {"instances"}
 
 
-@pytest.mark.parametrize("plane", ["far", "near"])
-def test_a_clip_plane_moves_with_the_camera(plane: str) -> None:
-    """A bright floor that ends at the plane: its edge tells height and pitch as one number, and roll.
-
-    The edge is the film line y/z = −1/4, whose motion is −ρy/4 + φx − φz x/z. Over a box film's row of pixels
-    it changes the image by C f per unit, f the focal length.
-    """
+def clipped_floor(plane: str) -> dict[str, Any]:
     sensor = {
         "type": "perspective",
         "fov": 60.0,
@@ -156,7 +153,17 @@ def test_a_clip_plane_moves_with_the_camera(plane: str) -> None:
         "to_world": T().translate([0, -1, 0]).rotate([1, 0, 0], -90).scale(400.0),
         "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 0.5}},
     }
-    found = information({"type": "scene", "sensor": sensor, "floor": floor}, spp=4096)
+    return {"type": "scene", "sensor": sensor, "floor": floor}
+
+
+@pytest.mark.parametrize("plane", ["far", "near"])
+def test_a_clip_plane_moves_with_the_camera(plane: str) -> None:
+    """A bright floor that ends at the plane: its edge tells height and pitch as one number, and roll.
+
+    The edge is the film line y/z = −1/4, whose motion is −ρy/4 + φx − φz x/z. Over a box film's row of pixels
+    it changes the image by C f per unit, f the focal length.
+    """
+    found = information(clipped_floor(plane), spp=4096)
     F, error = found.information.matrix, found.information.standard_error
     focal = 8.0 / np.tan(np.radians(30.0))
     x = (np.arange(16) - 7.5) / focal
@@ -208,19 +215,56 @@ def test_a_bound_by_finite_differences_on_a_box_film_is_flow_s_within_its_errors
     assert np.all(errors > 0.99 * edge_bias(PixelFilter.of(mi.load_dict({"type": "box"})), 0.3) * F)
 
 
-def test_a_bias_in_common_enters_the_covariance_with_its_square() -> None:
-    values, weights = RNG.normal(size=(4, 128, 3, 6)) + 3.0, np.ones((128, 3))
-    sums = []
-    for bias in (None, np.where(BLOCKS.home == 1, 0.1, 0.0)):
-        accumulator = InformationAccumulator(batches=4, block=8)
-        accumulator.add(values, weights, GRID, bias)
-        sums.append(accumulator.added)
-    only = InformationAccumulator(batches=4, block=8)
+@pytest.mark.parametrize("coupled", [False, True])
+def test_a_bias_in_common_enters_the_covariance_with_its_square(coupled: bool) -> None:
+    """Also where one mode couples all pixels; the part of some of them is then half of what F loses."""
+    values = RNG.normal(size=(4, 128, 3, 6)) + 3.0
+    modes = np.sin(np.arange(128.0)).reshape(1, 8, 16)
+    noise = LowRankPlusDiagonal(np.ones((8, 16)), modes) if coupled else Gaussian(1.0)
     rows = BLOCKS.home == 1
-    only.add(values[:, rows], weights[rows], GRID[rows])
-    part = 0.1 * only.added.matrix[np.triu_indices(6)]
-    np.testing.assert_array_equal(sums[0].matrix, sums[1].matrix)
-    difference = sums[1].covariance_of_entries - sums[0].covariance_of_entries
+
+    def sums(scale: float = 0.0, bias: Array | None = None) -> Sums:
+        scaled = values * np.where(rows, 1.0 + scale, 1.0)[:, None, None]
+        accumulator = InformationAccumulator(batches=4, block=8, coupled=coupled)
+        if isinstance(noise, CoupledNoise):
+            accumulator.add_coupled(scaled, noise, GRID, bias)
+        else:
+            accumulator.add(scaled, np.ones((128, 3)), GRID, bias)
+        return accumulator.added
+
+    plain, biased = sums(), sums(bias=np.where(rows, 0.1, 0.0))
+    # An error of 0.1 of the rows' information is one of 0.05 of their derivative.
+    slope = 0.05 * (sums(1e-3).matrix - sums(-1e-3).matrix) / 2e-3
+    np.testing.assert_allclose(biased.bias, slope, rtol=1e-8)
+    np.testing.assert_array_equal(plain.bias, np.zeros((6, 6)))
+    np.testing.assert_array_equal(plain.matrix, biased.matrix)
+    difference = biased.covariance_of_entries - plain.covariance_of_entries
+    part = slope[np.triu_indices(6)]
     np.testing.assert_allclose(
         difference, np.outer(part, part), rtol=1e-6, atol=1e-9 * np.abs(difference).max()
     )
+
+
+@pytest.mark.parametrize("nuisances", [[], ["gain"]])
+def test_noise_that_hardly_couples_pixels_says_of_differences_what_independent_noise_does(
+    nuisances: list[str],
+) -> None:
+    """Of a Jacobian held whole, too."""
+    options: dict[str, Any] = {"spp": 64, "nuisances": nuisances}
+    coupled = Stationary([[1e-12, 0.05**2, 1e-12]])
+    one, other = (pose_bound(clipped_floor("near"), noise, **options) for noise in (Gaussian(0.05), coupled))
+    facts, others = (bound.provenance["finite_differences"] for bound in (one, other))
+    assert facts["step_bias"] > 0.01
+    assert 0.1 < facts["share"] < 1.0 + 1e-9
+    assert others == {**facts, "share": pytest.approx(facts["share"], rel=1e-6)}
+    joint = joint_information(pose_jacobian(clipped_floor("near"), **options), coupled).marginalize()
+    for found in (other.information, joint.information):
+        assert misfit(found.covariance_of_entries, one.information.covariance_of_entries) < 1e-6
+
+
+def test_a_random_subset_says_of_differences_what_all_pixels_do() -> None:
+    shares = [
+        information(clipped_floor("near"), pixels=pixels).provenance["finite_differences"]["share"]
+        for pixels in ("all", "random:0.5")
+    ]
+    assert shares[1] == pytest.approx(shares[0], rel=0.3)
