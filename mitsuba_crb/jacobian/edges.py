@@ -107,6 +107,11 @@ class EdgeTable:
             low[has], high[has] = np.minimum(low[has], sign), np.maximum(high[has], sign)
         return np.where(low == high, low, np.int8(0))
 
+    def around(self, edges: Ints, hit: Ints) -> NDArray[np.bool_]:
+        """Which edges (n,) belong to the face (n,), as numbered when given; −1 for none."""
+        own = (self.face_edges[np.maximum(hit, 0)] == edges[:, None]).any(axis=1)
+        return np.asarray(own & (hit >= 0))
+
     def next_to(self, edges: Ints, hit: Ints) -> NDArray[np.bool_]:
         """Which edges (n,) belong to a face that shares a vertex with another (n,), as numbered when given.
 
@@ -138,7 +143,8 @@ class EdgeTable:
 
     def _around(self, edges: Ints) -> Iterator[tuple[Ints, Ints]]:
         """Which edges have a first half-edge, a second, and so on, and which that is."""
-        start, count = self.first[edges], np.diff(self.first)[edges]
+        start = self.first[edges]
+        count = self.first[edges + 1] - start
         for j in range(int(count.max(initial=0))):
             has = np.flatnonzero(count > j)
             yield has, start[has] + j
@@ -153,14 +159,14 @@ class EdgeTable:
 
         Args:
             edges: (n,) indices.
-            hit: (n,) the face seen beside each point, as numbered when given; −1 for none.
+            hit: (n,) the face seen beside each point, as numbered when given, none of the edge's own; −1 for
+                none.
             points: (n, 3) in the world.
             tolerance: (n,) distance within which edges coincide [scene unit].
             centre: (n, 3) a camera centre for each, in the world.
         """
-        open_edge = np.diff(self.first)[edges] == 1
-        own = (self.face_edges[np.maximum(hit, 0)] == edges[:, None]).any(axis=1)
-        other = np.where((hit >= 0) & ~own & (open_edge | ~self.next_to(edges, hit)), hit, -1)
+        open_edge = self.first[edges + 1] - self.first[edges] == 1
+        other = np.where((hit >= 0) & (open_edge | ~self.next_to(edges, hit)), hit, -1)
         repeated = np.zeros(len(edges), dtype=bool)
         for j in range(3):
             has = np.flatnonzero(other >= 0)

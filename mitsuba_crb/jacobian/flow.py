@@ -138,6 +138,7 @@ class Flow:
         self.view = view
         self._mask, self._seed = mask, seed
         self.prepared = prepare(view, film_flows)
+        self.unfollowed = Unfollowed.of(view, self.prepared.tracer)
 
     @classmethod
     def open(
@@ -156,11 +157,6 @@ class Flow:
     def limits(cls, view: View) -> tuple[str, ...]:
         """Nothing: see `Method.limits`."""
         return ()
-
-    @functools.cached_property
-    def unfollowed(self) -> Unfollowed:
-        """What in this view the flow cannot follow."""
-        return Unfollowed.of(self.view, self.prepared.tracer)
 
     def differenced(self, causes: NDArray[np.object_]) -> NDArray[np.int64]:
         """(n,) how many columns, from the first, are left to finite differences at pixels with these causes.
@@ -206,6 +202,7 @@ class FlowTile:
         """Readies their paths."""
         self._method, self._pixels, self._paths = method, pixels, paths
         self._begin = filter_and_view_terms(method.view, method.prepared, pixels, method.pilot, paths)
+        self._blocks = FilmBlocks.of(pixels)
 
     @functools.cached_property
     def _baseline(self) -> NDArray[np.float64]:
@@ -215,6 +212,8 @@ class FlowTile:
     def launch(self) -> None:
         """Start the paths in the background, and those of the contours."""
         view, contours, pixels = self._method.view, self._method.prepared.contours, self._pixels
+        # Looks at what it traces, so before there are paths to wait for.
+        self._causes = self._method.unfollowed.causes(pixels, self._blocks)
         baseline = self._baseline if len(contours.piece) else np.empty((len(pixels), 3))
         self._parallax = ParallaxTerm(view, contours, pixels, baseline, self._paths)
         columns, image, self._shown, self._closing = self._begin()
@@ -238,8 +237,7 @@ class FlowTile:
         self._residual[..., rows] += closing.transpose(2, 0, 1)
         # A few weights of a filter with negative lobes may add up to nothing: then the pilot is what is left.
         shown = self._baseline + (self._sums[:3] / np.maximum(self._sums[3], 0.5)).T
-        blocks = FilmBlocks.of(self._pixels)
-        causes = self._method.unfollowed.causes(self._pixels, blocks)
+        blocks, causes = self._blocks, self._causes
         suspect = suspects(self._residual, jacobians[..., :3], shown, blocks)
         suspect &= causes == None  # noqa: E711  # an array
         found = Estimates(jacobians, images, shown, causes[blocks.home])

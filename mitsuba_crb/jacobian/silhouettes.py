@@ -160,6 +160,9 @@ class Contours:
         keys, first = self.first_face
         mesh = np.minimum(np.searchsorted(keys, key[edge]), len(keys) - 1)
         hit = np.where(keys[mesh] == key[edge], first[mesh] + face[edge], -1)
+        # An edge that shows a face of its own, as nearly all do, is neither hidden nor another's.
+        strange = np.flatnonzero(~self.table.around(self.pieces.tag[piece[edge]], hit))
+        edge, hit = edge[strange], hit[strange]
         rotation = self.pose[:3, :3]
         centre = self.pose[:3, 3] + point[edge] @ rotation.T
         tolerance = 2.0 * ASIDE * np.abs(self.camera.scale).max() * placed.seen[edge, 2]
