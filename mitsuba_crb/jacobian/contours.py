@@ -79,7 +79,7 @@ class ParallaxTerm:
                 view, contours, part, count[chunk == which], pixels[mine], baseline[mine], paths
             )
             self._parts.append((mine, term))
-        self._found = [_nothing(paths.batches)]
+        self._found = [_nothing(contours, paths.batches)]
 
     def launch(self) -> None:
         """Start paths in the background; of more samples than are held at once, all but the last are done."""
@@ -95,10 +95,11 @@ class ParallaxTerm:
             term.wait()
 
     def result(self) -> tuple[Ints, Floats, Floats]:
-        """Which pixels contours touch (t,), the term there (batches, t, 3, 6), and that of the picture L = 1.
+        """Which pixels contours touch (t,), the term there (batches, t, 3, q), and that of the picture L = 1.
 
-        The last without baseline, of translation only (batches, t, 3), for `closure`. Independent from batch
-        to batch and from block to block [radiance / scene unit, radiance / rad].
+        Of the twist's first q = `Contours.twists` components. The last without baseline, of translation only
+        (batches, t, 3), for `closure`. Independent from batch to batch and from block to block
+        [radiance / scene unit, radiance / rad].
         """
         self._finish()
         rows, terms, closing = zip(*self._found, strict=True)
@@ -184,10 +185,9 @@ class _BlocksTerm:
 
     def result(self) -> tuple[Ints, Floats, Floats]:
         """As `ParallaxTerm.result`, of these blocks' pixels."""
-        batches = self._paths.batches
+        contours, blocks, batches = self._contours, self._blocks, self._paths.batches
         if self._looked is None:
-            return _nothing(batches)
-        contours, blocks = self._contours, self._blocks
+            return _nothing(contours, batches)
         sides, outside = self._looked
         jump = contours.jump(sides, self._placed, self._piece, self._samples.point)
         shown = np.flatnonzero(jump > 0.0)
@@ -199,7 +199,8 @@ class _BlocksTerm:
         # (f_fg − f_bg)·m per twist component, times the film length that each sample stands for.
         slope = placed.normal / contours.camera.scale
         gradient = np.column_stack([-slope, np.sum(slope * placed.seen[:, :2], axis=1) / placed.seen[:, 2]])
-        gradient = np.concatenate([gradient, np.cross(samples.point, gradient)], axis=1)
+        if contours.twists == 6:
+            gradient = np.concatenate([gradient, np.cross(samples.point, gradient)], axis=1)
         whole = contours.cumulative[contours.first[blocks + 1]] - contours.cumulative[contours.first[blocks]]
         gradient *= (jump * placed.length * (whole / self._count)[samples.owner] / share)[:, None]
         moments = np.concatenate([gradient[:, None], light[:, :, None] * gradient[:, None]], axis=1)
@@ -207,23 +208,22 @@ class _BlocksTerm:
         h = contours.view.pixel_filter.interpolate(offset)
         height = (h[:, :, None, 0] * h[:, None, :, 1]).reshape(rows.shape)
         inside = rows >= 0
-        sample = np.nonzero(inside)[0]
-        batch = samples.number % batches
-        counted = np.zeros(len(self._baseline), dtype=np.int64)
-        counted[rows[inside]] = 1
+        counted = np.zeros(len(self._baseline), dtype=bool)
+        counted[rows[inside]] = True
         touched = np.flatnonzero(counted)
         n, row = len(touched), np.cumsum(counted) - 1
-        matrix = csr_array(
-            (height[inside], (batch[sample] * n + row[rows[inside]], sample)), shape=(batches * n, len(shown))
-        )
-        sums = (matrix @ moments.reshape(-1, 24)).reshape(batches, n, 4, 6)
+        place = (samples.number % batches * n)[:, None] + row[rows]
+        ends = np.concatenate([[0], np.cumsum(np.count_nonzero(inside, axis=1))])
+        matrix = csr_array((height[inside], place[inside], ends), shape=(len(shown), batches * n))
+        sums = (matrix.T @ moments.reshape(len(shown), -1)).reshape(batches, n, 4, contours.twists)
         terms = sums[:, :, 1:] - self._baseline[touched, :, None] * sums[:, :, :1]
         return touched, np.asarray(terms), np.asarray(sums[:, :, 0, :3])
 
 
-def _nothing(batches: int) -> tuple[Ints, Floats, Floats]:
+def _nothing(contours: Contours, batches: int) -> tuple[Ints, Floats, Floats]:
     """The result where no contour touches any pixel."""
-    return np.empty(0, dtype=np.int64), np.empty((batches, 0, 3, 6)), np.empty((batches, 0, 3))
+    term, closing = np.empty((batches, 0, 3, contours.twists)), np.empty((batches, 0, 3))
+    return np.empty(0, dtype=np.int64), term, closing
 
 
 def _draw(contours: Contours, blocks: Ints, count: Ints, seed: int, batches: int) -> _Samples:

@@ -94,6 +94,11 @@ class Contours:
     samples: Floats
     """(blocks,) samples per path and pixel."""
 
+    @property
+    def twists(self) -> int:
+        """How many components of the twist, from the first, see contours: none of a pinhole's rotation."""
+        return 6 if self.camera.radius > 0.0 else 3
+
     def place(self, piece: Ints, u: Floats, point: Floats, box: Floats) -> Placed:
         """Points on pieces, see `curves.place`."""
         return place(self.pieces.part(piece), u, point, box, self.camera, self._edge_side)

@@ -259,7 +259,7 @@ def parallax_term(
     term.launch()
     term.wait()
     rows, found, _ = term.result()
-    terms[:, rows] = found
+    terms[:, rows, :, : found.shape[-1]] = found
     return terms
 
 
