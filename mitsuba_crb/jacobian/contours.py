@@ -263,21 +263,21 @@ def _lens_points(contours: Contours, aperture: Floats) -> Floats:
 
 
 def _slots(contours: Contours, blocks: Ints, pixels: Ints) -> Ints:
-    """Which of `pixels` is at each column and row of each block (blocks, 16, 16), −1 for none."""
+    """Which of `pixels` is at each column and row of each block, with a rim of one pixel; −1 for none."""
     home = np.searchsorted(blocks, pixels[:, 1] // BLOCK * contours.columns + pixels[:, 0] // BLOCK)
     local = pixels - contours.corner(blocks)[home]
-    slot = np.full((len(blocks), BLOCK, BLOCK), -1)
-    slot[home, local[:, 0], local[:, 1]] = np.arange(len(pixels))
+    slot = np.full((len(blocks), BLOCK + 2, BLOCK + 2), -1)
+    slot[home, local[:, 0] + 1, local[:, 1] + 1] = np.arange(len(pixels))
     return slot
 
 
 def _near(contours: Contours, slot: Ints, blocks: Ints, samples: _Samples) -> Ints:
     """Which samples lie on pieces that reach selected pixels of their block."""
-    owner = samples.owner
-    if slot.min() >= 0:
+    owner, selected = samples.owner, slot[:, 1:-1, 1:-1] >= 0
+    if selected.all():
         return np.arange(len(owner))
     below = np.zeros((len(blocks), BLOCK + 1, BLOCK + 1), dtype=np.int64)
-    below[:, 1:, 1:] = np.cumsum(np.cumsum(slot >= 0, axis=1), axis=2)
+    below[:, 1:, 1:] = np.cumsum(np.cumsum(selected, axis=1), axis=2)
     box, radius = contours.box[contours.piece[samples.pair]], contours.view.pixel_filter.radius
     corner = contours.corner(blocks)[owner]
     x0, y0 = np.clip(np.ceil(box[:, :2] - radius - 0.5) - corner, 0, BLOCK).astype(np.int64).T
@@ -296,11 +296,8 @@ def _footprint(
     radius = contours.view.pixel_filter.radius
     width = int(np.ceil(2.0 * radius))
     pixel = np.ceil(film - radius - 0.5).astype(np.int64)[:, None] + np.arange(width)[:, None]
-    local = pixel - contours.corner(blocks)[owner][:, None]
-    within = (local >= 0) & (local < BLOCK)
-    local = np.clip(local, 0, BLOCK - 1)
+    local = np.clip(pixel - contours.corner(blocks)[owner][:, None], -1, BLOCK) + 1
     rows = slot[owner[:, None, None], local[:, :, None, 0], local[:, None, :, 1]]
-    rows = np.where(within[:, :, None, 0] & within[:, None, :, 1], rows, -1)
     return rows.reshape(-1, width**2), pixel + 0.5 - film[:, None]
 
 
