@@ -28,6 +28,7 @@ from mitsuba_crb.bound.prior import prior_from_dict
 from mitsuba_crb.camera import Camera
 from mitsuba_crb.errors import PrecisionWarning
 from mitsuba_crb.estimate.align import Alignment
+from mitsuba_crb.estimate.renderer_part import renderer_part
 from mitsuba_crb.estimate.tracks import FeatureTracks
 from mitsuba_crb.estimate.trial import Trial
 from mitsuba_crb.estimate.trials import Validation
@@ -212,9 +213,14 @@ def _messages(rng: np.random.Generator) -> Iterator[Record]:
 def _trials(rng: np.random.Generator) -> Iterator[Record]:
     bound = cramer_rao_bound(information(rng))
     errors = 1e-3 * rng.normal(size=(8, 6))
-    trials = tuple(Trial(k, "converged", tuple(e), 1.0, 5, 0.1, 0) for k, e in enumerate(errors.tolist()))
-    lost = Trial(8, "diverged", (np.nan,) * 6, np.inf, 1, np.nan, 3)
+    added = (0.0,) * 21
+    trials = tuple(
+        Trial(k, "converged", tuple(e), 1.0, 5, 0.1, added, 0) for k, e in enumerate(errors.tolist())
+    )
+    lost = Trial(8, "diverged", (np.nan,) * 6, np.inf, 1, np.nan, (np.nan,) * 21, 3)
     yield lost
+    judged = renderer_part(errors, bound.information, 1e-8 * np.eye(6))
+    yield judged
     yield Validation(
         settings={"sigma": 0.01, "size": [4, 5], "defines": {}},
         trials=(*trials, lost),
@@ -225,10 +231,10 @@ def _trials(rng: np.random.Generator) -> Iterator[Record]:
         rmse_rotation_deg=0.2,
         bound_position=0.3,
         bound_rotation_deg=np.inf,
-        excess=0.1,
+        renderer=judged,
         further=(dataclasses.replace(lost, index=9),),
     )
-    yield Alignment(bound.information.pose, "out of iterations", 1.0, 30, bound, 0.1, 0, 2)
+    yield Alignment(bound.information.pose, "out of iterations", 1.0, 30, bound, 0.1, np.eye(6), 0, 2)
 
 
 def _findings(rng: np.random.Generator) -> Iterator[Record]:

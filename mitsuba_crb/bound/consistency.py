@@ -71,11 +71,21 @@ class Consistency(Record):
     @property
     def consistent(self) -> bool:
         """Whether NEES, all eigenvalues and all coverages are inside."""
+        return self.within(0.0)
+
+    def within(self, allowance: float) -> bool:
+        """Whether they would be, if all variances were multiplied by some 1 ± `allowance` or less."""
+        less, more = max(0.0, 1.0 - allowance), 1.0 + allowance
         low, high = self.nees_band
         values = self.generalized_eigenvalues
-        inside = (self.wishart_band[:, 0] <= values) & (values <= self.wishart_band[:, 1])
-        covered = all(c.low <= c.nominal <= c.high for c in self.coverage)
-        return bool(low <= self.nees <= high and inside.all() and covered)
+        inside = (less * self.wishart_band[:, 0] <= values) & (values <= more * self.wishart_band[:, 1])
+        with np.errstate(divide="ignore"):
+            covered = all(
+                c.low <= stats.chi2.cdf(stats.chi2.ppf(c.nominal, 6) / np.float64(less), 6)
+                and stats.chi2.cdf(stats.chi2.ppf(c.nominal, 6) / more, 6) <= c.high
+                for c in self.coverage
+            )
+        return bool(less * low <= self.nees <= more * high and inside.all() and covered)
 
 
 def consistency(errors: Array, information: FisherInformation, *, confidence: float = 0.95) -> Consistency:

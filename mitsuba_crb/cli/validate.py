@@ -74,7 +74,7 @@ def validate(
 ) -> int:
     """Put the bound to the test: perturb poses, align noisy images.
 
-    Exit code 0 if the errors are as the bound says, 1 if they are not.
+    Exit code 0 if the errors are as the bound says, 1 if they are not, 3 if the renderer's noise hides it.
     """
     with foreseen(debug, variant):
         from ..export.targets import check_targets
@@ -123,4 +123,4 @@ def validate(
                 from ..show.trials_page import write_validation_plot
 
                 write_validation_plot(plot_file, result)
-        return 0 if result.consistency.consistent else 1
+        return result.exit_code

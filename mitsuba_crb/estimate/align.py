@@ -51,6 +51,8 @@ class Alignment(Record):
     """At the estimate."""
     excess: float
     """Relative excess of the estimate's covariance over the bound from the renderer's own noise."""
+    added: Array
+    """(6, 6), the covariance behind it, camera frame [scene unit, rad]."""
     masked: int
     """Pixels left out because the measured image is NaN or infinite there."""
     invalid: int
@@ -156,6 +158,7 @@ def _result(misfit: Misfit, pose: Array, status: Status, iterations: int) -> Ali
         iterations=iterations,
         bound=bound,
         excess=misfit.excess(difference, information.matrix),
+        added=misfit.added(difference, information.matrix),
         masked=misfit.masked,
         invalid=misfit.invalid,
     )

@@ -8,10 +8,12 @@ that E is one smooth function and its minimum exists. (2) They are independent o
 JᵀW(y − R): the root is not shifted; nor does it depend on the matrix that multiplies g. E itself comes from
 products of different batches of R̂, without which it would be least where R̂'s noise is. (3) What remains is
 variance. Near the end R̂(x) = A + R̂(x; s) − R̂(x_A; s) with A a render of many paths at an anchor
-x_A: unbiased at every x, and without the noise of s at x_A. What is left is reported as `excess`, the part by
-which the estimate's covariance exceeds the bound because of Ĵ's and R̂'s noise:
+x_A: unbiased at every x, and without the noise of s at x_A. What is left is reported: the covariance C that
+Ĵ's and R̂'s noise adds to the estimate's, and as `excess` the part of the bound that it is,
 
-    excess = tr(F⁻¹ [ĴᵀWĴ − F + Cov(ĴᵀW R̂)]) / 6.
+    C = F⁻¹ [ĴᵀWĴ − F + Cov(ĴᵀW R̂)] F⁻¹,   excess = tr(F C) / 6.
+
+A Jacobian that an anchor brings along serves wherever it is near, since it has more paths than a new one.
 """
 
 from __future__ import annotations
@@ -76,9 +78,10 @@ class Misfit:
         if anchor is not None:
             self.tie(anchor)
         known = None if anchor is None else anchor.jacobian
-        if known is None or not _covers(known, run.mask):
-            known = run.jacobian(pilot=noise.depends_on_mean)
-        self._use(known.only(run.mask, run.selection.description))
+        self.known = None
+        if known is not None and _covers(known, run.mask):
+            self.known = known.only(run.mask, run.selection.description)
+        self._use(self.known or run.jacobian(pilot=noise.depends_on_mean))
         self.differentiate(run.view.pose)
         if not np.diagonal(self.plain).all():
             raise OutOfViewError(
@@ -114,8 +117,11 @@ class Misfit:
         return self.rendered[1] + self.correction
 
     def differentiate(self, pose: Array) -> None:
-        """Measure J anew where the image has moved since it last was."""
-        if self.motion(self.jacobian.pose, pose) > _REFRESH:
+        """Measure J anew where the image has moved since it last was; near the anchor's, take that."""
+        if self.known is not None and self.motion(self.known.pose, pose) <= _REFRESH:
+            if self.jacobian is not self.known:
+                self._use(self.known)
+        elif self.motion(self.jacobian.pose, pose) > _REFRESH:
             self._use(self.run.at(pose).jacobian(pilot=self.noise.depends_on_mean))
 
     def _use(self, jacobian: ImageJacobian) -> None:
@@ -181,11 +187,16 @@ class Misfit:
         difference = self.difference(pose).mean(axis=0)[chosen]
         return np.asarray(np.einsum("ncp,nc->p", values, weights * difference), dtype=np.float64)
 
-    def excess(self, difference: Array, information: Array) -> float:
-        """tr(F⁻¹ [ĴᵀWĴ − F + Cov(ĴᵀW R̂)]) / 6."""
+    def added(self, difference: Array, information: Array) -> Array:
+        """(6, 6), C = F⁻¹ [ĴᵀWĴ − F + Cov(ĴᵀW R̂)] F⁻¹."""
         gradients = np.stack([self.gradient(batch) for batch in difference])
         extra = self.plain - information + np.cov(gradients.T) / len(difference)
-        return float(np.trace(np.linalg.pinv(information, hermitian=True) @ extra)) / 6.0
+        inverse = np.linalg.pinv(information, hermitian=True)
+        return np.asarray(inverse @ extra @ inverse)
+
+    def excess(self, difference: Array, information: Array) -> float:
+        """tr(F C) / 6."""
+        return float(np.trace(information @ self.added(difference, information))) / 6.0
 
     @property
     def invalid(self) -> int:

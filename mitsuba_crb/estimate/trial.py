@@ -17,6 +17,7 @@ import numpy as np
 from .. import se3
 from ..errors import OutOfViewError
 from ..files import Record
+from ..information.symmetric import pack
 from ..measure.mitsuba_view import wanted
 from ..measure.options import MeasurementKeywords, MeasurementOptions
 from ..noise import Gaussian
@@ -44,6 +45,8 @@ class Trial(Record):
     """Of the search."""
     excess: float
     """Relative excess of its covariance over the bound from the renderer's noise."""
+    added: tuple[float, ...]
+    """(21,), the covariance behind it, its upper triangle in `numpy.triu_indices(6)` order, camera frame."""
     invalid: int
     """Pixels, of those that the bound counts, that it left out (`drop_invalid`)."""
 
@@ -117,7 +120,7 @@ def _trial(setup: Setup, scene: Any, index: int) -> Trial:
         # The start was drawn behind a wall, say. Its residual is that of a black image.
         error = se3.log(se3.inverse(truth) @ start)
         residual = float(np.sqrt(np.nanmean((measured / setup.sigma) ** 2)))
-        return Trial(index, "diverged", tuple(error.tolist()), residual, 0, 0.0, 0)
+        return Trial(index, "diverged", tuple(error.tolist()), residual, 0, 0.0, (0.0,) * 21, 0)
     error = se3.log(se3.inverse(truth) @ found.pose)
     return Trial(
         index=index,
@@ -126,6 +129,7 @@ def _trial(setup: Setup, scene: Any, index: int) -> Trial:
         residual=found.residual,
         iterations=found.iterations,
         excess=found.excess,
+        added=tuple(pack(found.added).tolist()),
         invalid=found.invalid,
     )
 

@@ -17,7 +17,7 @@ from ..files import atomic, read_json
 from .optimisers import Status
 from .trial import Trial
 
-SCHEMA = "mitsuba-crb/validate/1"
+SCHEMA = "mitsuba-crb/validate/2"
 
 
 class EarlierRun(NamedTuple):
@@ -50,12 +50,27 @@ def recorded(file: Path | None) -> EarlierRun | None:
 
 
 def _read_trial(
-    index: Any, status: Any, error: Any, residual: Any, iterations: Any, excess: Any, invalid: Any
+    index: Any,
+    status: Any,
+    error: Any,
+    residual: Any,
+    iterations: Any,
+    excess: Any,
+    added: Any,
+    invalid: Any,
 ) -> Trial:
-    if status not in get_args(Status) or len(error) != 6:
-        raise ValueError(f"trial {index} has the status {status!r} and the error {error}")
-    twist = tuple(float(value) for value in error)
-    return Trial(int(index), status, twist, float(residual), int(iterations), float(excess), int(invalid))
+    if status not in get_args(Status) or len(error) != 6 or len(added) != 21:
+        raise ValueError(f"trial {index} has the status {status!r}, the error {error} and {added} added")
+    return Trial(
+        index=int(index),
+        status=status,
+        error=tuple(float(value) for value in error),
+        residual=float(residual),
+        iterations=int(iterations),
+        excess=float(excess),
+        added=tuple(float(value) for value in added),
+        invalid=int(invalid),
+    )
 
 
 def resumed(record: EarlierRun | None, settings: dict[str, Any]) -> dict[int, Trial]:

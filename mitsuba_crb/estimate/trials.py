@@ -4,7 +4,7 @@ Each trial adds noise to the expected image, perturbs the pose, aligns (`align`)
 ξ = log(truth⁻¹ estimate), see `trial`. Expected image, Jacobian and bound are measured once at the truth. The
 expected image is *defined* as that render: tied to it (`misfit.Anchor`), the estimator's own render of the
 true pose is exact, and away from it unbiased, so that the renderer's noise adds no bias and only the variance
-that `excess` states.
+that `excess` states; `renderer_part` frees the errors of it, and says what they tell.
 
 A trial has failed if its search did not end, or ended where the image does not fit; failures are counted
 apart.
@@ -28,29 +28,23 @@ from ..errors import PrecisionWarning, TrialError
 from ..files import Record
 from ..information.accumulate import fisher_information
 from ..information.image_jacobian import ImageJacobian
-from ..information.subset import selected
-from ..jacobian.method import Paths
-from ..measure.measurement import measurement
+from ..information.symmetric import unpack
 from ..measure.mitsuba_view import wanted
 from ..measure.options import VALIDATING, MeasurementKeywords, MeasurementOptions
 from ..noise import Gaussian
 from ..processes import in_processes
 from ..render.backend import same_variant
 from ..render.fingerprint import fingerprint, mask_fingerprint
-from ..render.lending import in_turn
 from ..render.scene import SceneFile, as_scene
 from ..se3 import Array
-from .misfit import Anchor
+from .renderer_part import RendererPart, Verdict, renderer_part
 from .trial import Setup, Trial, run_trials
 from .trial_record import recorded, resumed, write_record
+from .truth import truth_of
 
 _MEASURED = ("sensor", "method", "seed", "batches", "size", "drop_invalid", "step_pixels", "versions")
 """What of the settings the expected image's provenance says."""
-_EXPECTED_SPP = 16
-"""Paths per pixel of the expected image and its Jacobian, over those of a trial's renders."""
 _CHUNK = 4
-_EXPECTED = 0x45585045
-"""Purpose of the random numbers of the expected image."""
 
 Progress = Callable[[int, int], None]
 """Called after each trial with the trials done and all of them."""
@@ -78,10 +72,32 @@ class Validation(Record):
     """Its bound, the root of the position covariance's trace [scene unit]."""
     bound_rotation_deg: float
     """Its bound [deg]."""
-    excess: float
-    """Mean of the trials' excess."""
+    renderer: RendererPart
+    """What the renderer's noise has added to the errors, and what they say without it."""
     further: tuple[Trial, ...] = ()
     """What the file that was resumed holds beyond; not judged, but kept."""
+
+    @property
+    def excess(self) -> float:
+        """The part by which the renderer's noise raises the errors' variances."""
+        return self.renderer.excess
+
+    @property
+    def verdict(self) -> Verdict:
+        """ "consistent", "inconsistent", or "inconclusive" where the renderer's noise decides."""
+        return self.renderer.verdict
+
+    @property
+    def exit_code(self) -> int:
+        """0 consistent, 1 inconsistent, 3 inconclusive."""
+        return {"consistent": 0, "inconsistent": 1, "inconclusive": 3}[self.verdict]
+
+    @property
+    def cure(self) -> str:
+        """What would tell, if it is inconclusive; else nothing."""
+        if self.verdict != "inconclusive":
+            return ""
+        return f"about {int(self.settings['spp'] * self.renderer.times)} paths per pixel would tell"
 
     @property
     def errors(self) -> Array:
@@ -151,7 +167,7 @@ def validate(
     named = dict(defines or {})
     source = SceneFile(scene, named) if isinstance(scene, str | Path) else scene
     loaded, _ = as_scene(source, wanted(MeasurementOptions(**options)))
-    anchor, jacobian, chosen, names = _expected(loaded, sigma, options)
+    anchor, jacobian, chosen, names = truth_of(loaded, sigma, options)
     selection = dataclasses.asdict(jacobian.selection)
     settings = {
         "scene": str(scene) if isinstance(scene, str | Path) else names["scene"],
@@ -190,35 +206,6 @@ def validate(
     return dataclasses.replace(result, further=tuple(ordered[trials:]))
 
 
-@in_turn
-def _expected(
-    scene: Any, sigma: float | None, options: MeasurementKeywords
-) -> tuple[Anchor, ImageJacobian, float, dict[str, str]]:
-    """The anchor at the truth, the Jacobian there, the noise, and what scene and integrator are called."""
-    given = MeasurementOptions(**options).uniform_spp
-    many: MeasurementKeywords = {**options, "spp": _EXPECTED_SPP * given}
-    with measurement(scene, **many) as run:
-        run = run.only()
-        if run.view.luminance:
-            raise TrialError("the film measures luminance alone; trials need pixel_format rgb")
-        model = Gaussian(run.exposure.sigma if sigma is None else sigma)
-        if sigma is not None:
-            run.noise(model)  # refuses what does not go with it
-        run.warn_of_limits()
-        image = np.full((1, *run.mask.shape, 3), np.nan)
-        one = Paths(run.options.uniform_spp, run.options.seed, 1)
-        image[0, run.mask] = run.render(selected(run.mask), _EXPECTED, paths=one)[0]
-        jacobian = run.jacobian()
-        valid = np.isfinite(image[0]).all(axis=2) & np.isfinite(jacobian.image).all(axis=2)
-        invalid = int((run.mask & ~valid).sum())
-        run.check_valid(invalid, run.selection.selected)
-        if invalid:
-            image[0, ~valid] = np.nan
-            jacobian = jacobian.only(valid, f"{run.selection.description}, where the radiance is finite")
-        names = {"scene": run.view.label, "integrator": run.view.provenance()["integrator"]}
-        return Anchor(run.view.pose, image, jacobian), jacobian, model.sigma, names
-
-
 def _judge(
     settings: dict[str, Any],
     trials: tuple[Trial, ...],
@@ -254,5 +241,10 @@ def _judge(
         rmse_rotation_deg=float(np.degrees(np.sqrt(np.mean(angle**2)))),
         bound_position=float(np.sqrt(np.trace(bound.position_covariance))),
         bound_rotation_deg=float(np.sqrt(np.trace(bound.rotation_covariance_deg2))),
-        excess=float(np.mean([t.excess for t in good])),
+        renderer=renderer_part(
+            errors,
+            information,
+            unpack(np.mean([t.added for t in good], axis=0)),
+            confidence=confidence,
+        ),
     )

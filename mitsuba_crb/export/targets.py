@@ -69,7 +69,7 @@ def _holds_trials(path: Path) -> bool:
     from ..estimate.trial_record import SCHEMA as TRIALS  # late: it imports what measures
 
     with path.open("rb") as file:
-        return TRIALS.encode() in file.read(100)
+        return TRIALS.rpartition("/")[0].encode() in file.read(100)
 
 
 def check_folder(path: Path, option: str) -> None:

@@ -13,6 +13,7 @@ from scipy import stats
 from ..files import atomic
 from ..se3 import Array
 from .plot import MUTED
+from .trials_table import verdict_line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,7 +36,7 @@ def validation_figure(result: Validation) -> Figure:
     _draw_ratios(axes[2], result.consistency.generalized_eigenvalues, result.consistency.wishart_band)
     figure.suptitle(
         f"{Path(result.settings['scene']).name}: {len(squares)} alignments, {len(result.failed)} failed, "
-        f"efficiency {result.efficiency:.0%}",
+        f"efficiency {result.efficiency:.0%}; {verdict_line(result)}",
         fontsize=11,
         parse_math=False,
     )

@@ -21,6 +21,10 @@ def print_validation(console: Console, result: Validation, warnings: Iterable[st
     found, settings = result.consistency, result.settings
     width, height = settings["size"]
     print_line(console, Text(Path(settings["scene"]).name, style="bold"), f"  {width}×{height} pixels")
+    verdict = Text(verdict_line(result), style="green" if result.exit_code == 0 else "bold yellow")
+    overturned = result.verdict != ("consistent" if found.consistent else "inconsistent")
+    if overturned:
+        print_line(console, verdict)
     table = new_table()
     for head in ("", "errors", "bound", "unit"):
         table.add_column(head, justify="left" if head in ("", "unit") else "right")
@@ -53,14 +57,26 @@ def print_validation(console: Console, result: Validation, warnings: Iterable[st
             ("starts", f"within {settings['perturb_deg']:g} deg, {settings['perturb_trans']:g} scene units"),
             ("estimator", f"{settings['estimator']}, {settings['spp']} paths per pixel"),
             ("efficiency", f"{result.efficiency:.1%}"),
-            ("renderer's noise", f"adds {result.excess:.1%} to the errors' covariance"),
+            (
+                "renderer's noise",
+                f"adds {result.excess:.1%} to the errors' covariance; freed of it: NEES "
+                f"{result.renderer.freed.nees:.3f}; the bound's own: ± {result.renderer.uncertainty:.1%}",
+            ),
         ],
     )
-    if found.consistent:
-        print_line(console, Text("the errors are as the bound says", style="green"))
-    else:
-        print_line(console, Text("the errors are not as the bound says", style="bold yellow"))
+    if not overturned:
+        print_line(console, verdict)
     print_notes(console, warnings)
+
+
+def verdict_line(result: Validation) -> str:
+    """What the errors say of the bound, in a sentence."""
+    return {
+        "consistent": "the errors are as the bound says",
+        "inconsistent": "the errors are not as the bound says",
+        "inconclusive": "inconclusive: the renderer's noise hides whether the errors are as the bound says; "
+        + result.cure,
+    }[result.verdict]
 
 
 def _in_band(

@@ -122,7 +122,7 @@ GOOD: dict[str, bytes] = {
         {
             "schema": SCHEMA,
             "settings": {},
-            "results": [dataclasses.asdict(Trial(0, "converged", (0.0,) * 6, 1.0, 3, 0.0, 0))],
+            "results": [dataclasses.asdict(Trial(0, "converged", (0.0,) * 6, 1.0, 3, 0.0, (0.0,) * 21, 0))],
         }
     ).encode(),
     "map.toml": b'[noise]\nmodel = "per_pixel"\nvariance = "map.npy"\n',
@@ -207,7 +207,7 @@ def readable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         raise AssertionError("this would be rendered")
 
     monkeypatch.setattr(measure.Measurement, "tiles", render)
-    monkeypatch.setattr(trials, "_expected", render)
+    monkeypatch.setattr(trials, "truth_of", render)
     monkeypatch.chdir(tmp_path)
     for name, contents in GOOD.items():
         Path(name).write_bytes(contents)

@@ -312,7 +312,8 @@ def test_impossible_trials_are_refused(change: Any, error: type[Exception], mess
 
 RECORD = f'{{"schema": "{SCHEMA}", "settings": {{}}, "results": %s}}'
 RESULT = (
-    '[{"index": %s, "status": "%s", "error": %s, "residual": 1, "iterations": 1, "excess": 0, "invalid": 0}]'
+    '[{"index": %s, "status": "%s", "error": %s, "residual": 1, "iterations": 1, "excess": 0, "added": %s, '
+    '"invalid": 0}]'
 )
 
 
@@ -326,16 +327,17 @@ RESULT = (
         RECORD % "3",
         RECORD % "[3]",
         RECORD % '[{"index": 0}]',
-        RECORD % RESULT % ("Infinity", "converged", [0] * 6),
-        RECORD % RESULT % (0, "confused", [0] * 6),
-        RECORD % RESULT % (0, "converged", [0] * 5),
-        RECORD % RESULT % (0, "converged", [[]] * 6),
+        RECORD % RESULT % ("Infinity", "converged", [0] * 6, [0] * 21),
+        RECORD % RESULT % (0, "confused", [0] * 6, [0] * 21),
+        RECORD % RESULT % (0, "converged", [0] * 5, [0] * 21),
+        RECORD % RESULT % (0, "converged", [0] * 6, [0] * 20),
+        RECORD % RESULT % (0, "converged", [[]] * 6, [0] * 21),
     ],
 )
 def test_a_file_that_is_no_record_of_trials_is_left_alone_and_nothing_rendered(
     tmp_path: Path, text: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(trials, "_expected", None)
+    monkeypatch.setattr(trials, "truth_of", None)
     file = tmp_path / "something.json"
     file.write_text(text)
     with pytest.raises(TrialError, match="name another file"):
