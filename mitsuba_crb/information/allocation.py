@@ -120,6 +120,7 @@ def allocate(needs: Needs, least: int, most: float) -> tuple[NDArray[np.int64], 
     weights = 1.0 / np.maximum(needs.goal, _TINY)
     aim = _MARGIN**2 * needs.goal
     spp = np.full(needs.pixels.shape, least, dtype=np.int64)
+    found: list[tuple[float, float, NDArray[np.int64]]] = []
     for _ in range(_TURNS):
         density = _density(needs, weights, spp)
 
@@ -135,8 +136,10 @@ def allocate(needs: Needs, least: int, most: float) -> tuple[NDArray[np.int64], 
             scale = _threshold(dear, largest) / _STEP
         spp = _rounded(scale * density, least)
         reached = needs.variance(spp) / np.maximum(aim, _TINY)
+        found.append((max(float(reached.max()), 1.0), float(np.sum(work * spp)), spp))
         weights *= np.clip(reached / max(float(reached.max()), _TINY), 0.05, 1.0) ** 0.5
-    return spp, bool((needs.variance(spp) <= needs.goal).all())
+    best = min(found, key=lambda each: each[:2])[2]
+    return best, bool((needs.variance(best) <= needs.goal).all())
 
 
 def _density(needs: Needs, weights: Array, spp: NDArray[np.int64]) -> Array:

@@ -39,6 +39,8 @@ _BETWEEN = 2.0
 """Times what has been spent, of such a round."""
 _EXPLORING = 4.0
 """Times what has been spent, of a round for what noise still hides."""
+_AGAIN = 2
+"""Times the paths by which something came out of the noise, of the answer."""
 _SMALL = 0.25
 """Of the variance that no paths can mend, what is always good enough for the paths."""
 
@@ -148,6 +150,10 @@ class Rounds:
         bound = self._bound(found.joint)
         needs, hidden = self._needs(found, bound)
         spp, _ = allocate(needs, self._least, left)
+        if any(each.hidden for each in self.done):
+            # What it took to come out of the noise: with less, the answer would not say what is known.
+            enough = np.maximum(spp, _AGAIN * plan.spp)
+            spp = enough if np.sum(self._pixels * enough) <= left else self._in_between(needs, left)
         between = (_EXPLORING if hidden.any() else _BETWEEN) * spent
         final = not hidden.any() and np.sum(self._pixels * spp) <= _FAR * spent
         if not final:
@@ -179,25 +185,28 @@ class Rounds:
             return cramer_rao_bound(joint.marginalize().information, prior=self._prior)
 
     def _needs(self, found: Answer, bound: PoseBound) -> tuple[Needs, NDArray[np.bool_]]:
-        """What is to be expected of each cell, and which of the six standard deviations noise hides."""
+        """What is to be expected of each cell, and which of the six standard deviations are not resolved."""
+        joint, selection = found.joint.marginalize(), self._run.selection
         functionals = np.concatenate([position_functionals(bound.inverse), TURN])
         vectors, values = bound.inverse.sensitivity(functionals)
-        vectors = vectors @ found.joint.marginalize().elimination.T
-        hidden = ~np.isfinite(np.concatenate([bound.position_std, bound.rotation_std_deg]))
-        hidden &= not _proven(bound)
-        selection = self._run.selection
-        scale = selection.total / selection.selected if selection.kind == "random" else 1.0
+        ours = vectors @ joint.elimination.T
+        sampled = selection.kind == "random"
+        scale = selection.total / selection.selected if sampled else 1.0
+        rounds = [(products.variance(ours, values).scaled(scale), spp) for products, spp in self._seen]
+        # What no paths can mend: the step of finite differences, and a random subset's choice.
+        fixed = np.square(np.einsum("mi,ij,mj->m", vectors, joint.bias, vectors) / (2.0 * values))
+        if sampled:
+            own = np.sum(rounds[-1][0].total, axis=1)
+            fixed += np.maximum(np.nan_to_num(np.square(_relative_errors(bound))) - own, 0.0)
         precision = self._run.options.precision or PRECISION
-        rounds = [(products.variance(vectors, values).scaled(scale), spp) for products, spp in self._seen]
-        goal = np.full(6, precision**2)
-        reported = np.square(_relative_errors(bound))
-        fixed = np.maximum(reported - np.sum(rounds[-1][0].total, axis=1), 0.0)
-        # What no paths can mend: a random subset's choice, and the step of finite differences.
-        fixed[~(fixed > 0.2 * reported)] = 0.0
-        goal = np.maximum(goal - fixed, _SMALL * fixed)
-        if not hidden.any():
-            goal[~np.isfinite(reported)] = np.inf
-        return Needs.of(rounds, self._side, self._pixels, goal).smoothed(), hidden
+        goal = np.maximum(precision**2 - fixed, _SMALL * fixed)
+        verdicts = np.array([*bound.position_verdict, *bound.rotation_verdict])
+        goal[verdicts == "unseen"] = np.inf
+        needs = Needs.of(rounds, self._side, self._pixels, goal)
+        # What the image may tell below its noise, where a prior makes the number finite without it.
+        squares = np.square([*bound.position_std, *bound.rotation_std_deg])
+        hidden = np.isfinite(squares) & (squares - values > precision * squares)
+        return needs.smoothed(), hidden | (verdicts == "not resolved")
 
 
 def _relative_errors(bound: PoseBound) -> NDArray[np.float64]:
@@ -209,12 +218,3 @@ def _relative_errors(bound: PoseBound) -> NDArray[np.float64]:
 def _precision(bound: PoseBound) -> float:
     errors = _relative_errors(bound)
     return float(np.nanmax(errors)) if np.isfinite(errors).any() else float("inf")
-
-
-def _proven(bound: PoseBound) -> bool:
-    """Whether what is hidden is known to tell nothing, or next to nothing."""
-    found = bound.inverse.identifiability
-    if found.rank == 6:
-        return True
-    largest = max(float(found.eigenvalues[found.rank]), 0.0) + found.threshold
-    return largest <= 1e-3 * float(found.eigenvalues[0])
