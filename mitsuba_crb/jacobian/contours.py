@@ -204,6 +204,7 @@ class _BlocksTerm:
         whole = contours.cumulative[contours.first[blocks + 1]] - contours.cumulative[contours.first[blocks]]
         gradient *= (jump * placed.length * (whole / self._count)[samples.owner] / share)[:, None]
         moments = np.concatenate([gradient[:, None], light[:, :, None] * gradient[:, None]], axis=1)
+        moments = moments.reshape(len(shown), 4 * contours.twists)
 
         h = contours.view.pixel_filter.interpolate(offset)
         height = (h[:, :, None, 0] * h[:, None, :, 1]).reshape(rows.shape)
@@ -215,7 +216,7 @@ class _BlocksTerm:
         place = (samples.number % batches * n)[:, None] + row[rows]
         ends = np.concatenate([[0], np.cumsum(np.count_nonzero(inside, axis=1))])
         matrix = csr_array((height[inside], place[inside], ends), shape=(len(shown), batches * n))
-        sums = (matrix.T @ moments.reshape(len(shown), -1)).reshape(batches, n, 4, contours.twists)
+        sums = (matrix.T @ moments).reshape(batches, n, 4, contours.twists)
         terms = sums[:, :, 1:] - self._baseline[touched, :, None] * sums[:, :, :1]
         return touched, np.asarray(terms), np.asarray(sums[:, :, 0, :3])
 
