@@ -98,12 +98,12 @@ class ParallaxTerm:
         """Which pixels contours touch (t,), the term there (batches, t, 3, q), and that of the picture L = 1.
 
         Of the twist's first q = `Contours.twists` components. The last without baseline, of translation only
-        (batches, t, 3), for `closure`. Independent from batch to batch and from block to block
+        (3, batches, t), for `closure`. Independent from batch to batch and from block to block
         [radiance / scene unit, radiance / rad].
         """
         self._finish()
         rows, terms, closing = zip(*self._found, strict=True)
-        return np.concatenate(rows), np.concatenate(terms, axis=1), np.concatenate(closing, axis=1)
+        return np.concatenate(rows), np.concatenate(terms, axis=1), np.concatenate(closing, axis=2)
 
     def _start(self) -> None:
         for _, term in self._parts[:1]:
@@ -218,12 +218,12 @@ class _BlocksTerm:
         matrix = csr_array((height[inside], place[inside], ends), shape=(len(shown), batches * n))
         sums = (matrix.T @ moments).reshape(batches, n, 4, contours.twists)
         terms = sums[:, :, 1:] - self._baseline[touched, :, None] * sums[:, :, :1]
-        return touched, np.asarray(terms), np.asarray(sums[:, :, 0, :3])
+        return touched, np.asarray(terms), np.asarray(sums[:, :, 0, :3].transpose(2, 0, 1))
 
 
 def _nothing(contours: Contours, batches: int) -> tuple[Ints, Floats, Floats]:
     """The result where no contour touches any pixel."""
-    term, closing = np.empty((batches, 0, 3, contours.twists)), np.empty((batches, 0, 3))
+    term, closing = np.empty((batches, 0, 3, contours.twists)), np.empty((3, batches, 0))
     return np.empty(0, dtype=np.int64), term, closing
 
 

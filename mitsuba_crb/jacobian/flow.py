@@ -164,7 +164,7 @@ class Flow:
         A pinhole's rotation needs no points to follow, unless a plane turns with the camera.
         """
         whole = np.isin(causes, CLIPPED) | self.view.sensor.needs_aperture_sample()
-        return np.where(causes == None, 0, np.where(whole, 6, 3))  # noqa: E711  # an array
+        return np.where(causes == "", 0, np.where(whole, 6, 3))
 
     @functools.cached_property
     def _step_pixels(self) -> float:
@@ -234,12 +234,12 @@ class FlowTile:
         jacobians, images = as_arrays(self._traced, self._paths.batches)
         rows, terms, closing = self._parallax.result()
         jacobians[:, rows, :, : terms.shape[-1]] += terms
-        self._residual[..., rows] += closing.transpose(2, 0, 1)
+        self._residual[..., rows] += closing
         # A few weights of a filter with negative lobes may add up to nothing: then the pilot is what is left.
         shown = self._baseline + (self._sums[:3] / np.maximum(self._sums[3], 0.5)).T
         blocks, causes = self._blocks, self._causes
         suspect = suspects(self._residual, jacobians[..., :3], shown, blocks)
-        suspect &= causes == None  # noqa: E711  # an array
+        suspect &= causes == ""
         found = Estimates(jacobians, images, shown, causes[blocks.home])
         return SettledFlow(self._method, self._pixels, self._paths, found, suspect[blocks.home])
 
@@ -290,14 +290,14 @@ class SettledFlow:
         return found._replace(step_bias=method.step_bias)
 
     def _breaches(self) -> NDArray[np.object_]:
-        """Why the flow does not close at each of the suspects, None where it does."""
+        """Why the flow does not close at each of the suspects, "" where it does."""
         rows, _, closing = self._parallax.result()
-        self._residual[..., rows] += closing.transpose(2, 0, 1)
+        self._residual[..., rows] += closing
         blocks, contours = FilmBlocks.of(self._pixels[self._again]), self._method.prepared.contours
         column, row = blocks.number & 0xFFFFFFFF, blocks.number >> 32
         edges = contours.samples[row * contours.columns + column] > 0.0
         causes = np.where(edges, "stacked edges", "unknown").astype(object)
-        causes[~breaches(self._residual, blocks)] = None
+        causes[~breaches(self._residual, blocks)] = ""
         return causes[blocks.home]
 
 

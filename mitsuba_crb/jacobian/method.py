@@ -33,7 +33,7 @@ class Estimates(NamedTuple):
     image: Floats
     """(n, 3) the image of all batches, the least noisy one at hand [radiance]."""
     causes: NDArray[np.object_] | None = None
-    """None, or (n,) why finite differences took the method's place at a pixel, None where they did not."""
+    """None, or (n,) why finite differences took the method's place at a pixel, "" where they did not."""
     step_bias: float = 0.0
     """Relative error that their step may leave in the information of those pixels; without causes, of all."""
 

@@ -79,12 +79,12 @@ class Unfollowed:
         )
 
     def causes(self, pixels: Ints, blocks: FilmBlocks) -> NDArray[np.object_]:
-        """(blocks,) what is in the way there, or None.
+        """(blocks,) what is in the way there, or "".
 
         Args:
             pixels: (n, 2) of the blocks.
         """
-        found = np.full(len(blocks.number), MEDIA if self.everywhere else None, dtype=object)
+        found = np.full(len(blocks.number), MEDIA if self.everywhere else "", dtype=object)
         if self.everywhere or not (self.shapes or self.near or self.far):
             return found
         for offset, lens in zip(_OFFSETS * self.view.pixel_filter.radius, 0.5 + 0.35 * _OFFSETS, strict=True):

@@ -26,8 +26,8 @@ class Differences:
         """What of a tile was measured so."""
         if tile.causes is None:
             return
-        rows = tile.causes != None  # noqa: E711  # an array
-        if not rows.any():
+        rows = np.flatnonzero(tile.causes != "")
+        if not len(rows):
             return
         pixels, causes = tile.pixels[rows], tile.causes[rows]
         first = np.unique(FilmBlocks.of(pixels).home, return_index=True)[1]

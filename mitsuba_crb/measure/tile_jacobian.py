@@ -23,7 +23,7 @@ class TileJacobian:
     pilot: NDArray[np.float64] | None = None
     """(n, 3) the image there by other random numbers; None where no noise depends on it."""
     causes: NDArray[np.object_] | None = None
-    """None, or (n,) why finite differences measured a pixel, None where they did not."""
+    """None, or (n,) why finite differences measured a pixel, "" where they did not."""
     step_bias: float = 0.0
     """Relative error that their step may leave in the information of those pixels; without causes, of all."""
     weights: NDArray[np.float64] | None = None
@@ -60,7 +60,7 @@ class TileJacobian:
         """(n,) relative error of their information by the step of finite differences, 0 without any."""
         if self.causes is None:
             return np.full(len(self.pixels), self.step_bias)
-        return np.where(self.causes != None, self.step_bias, 0.0)  # noqa: E711  # an array
+        return np.where(self.causes != "", self.step_bias, 0.0)
 
     @property
     def expected(self) -> NDArray[np.float64]:

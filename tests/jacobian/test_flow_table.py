@@ -90,7 +90,7 @@ def test_without_the_parallax_term_translation_is_wrong(name: str, monkeypatch: 
     class Nothing(flow.ParallaxTerm):
         def result(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             rows, terms, closing = super().result()
-            return rows[:0], terms[:, :0], closing[:, :0]
+            return rows[:0], terms[:, :0], closing[..., :0]
 
     monkeypatch.setattr(flow, "ParallaxTerm", Nothing)
     without_closure(monkeypatch)
