@@ -113,7 +113,7 @@ class Misfit:
     def expected(self, pose: Array) -> Array:
         """(K, n, 3), K independent estimates of R(x); the last render is kept."""
         if self.rendered is None or not np.array_equal(pose, self.rendered[0]):
-            self.rendered = pose, self.run.render(self.pixels, _RENDER, pose=pose)
+            self.rendered = pose, self.run.render(self.pixels, _RENDER, pose=pose, even=True)
         return self.rendered[1] + self.correction
 
     def differentiate(self, pose: Array) -> None:

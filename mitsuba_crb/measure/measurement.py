@@ -229,14 +229,17 @@ class Measurement:
         *,
         paths: Paths | None = None,
         pose: NDArray[np.float64] | None = None,
+        even: bool = False,
     ) -> NDArray[np.float64]:
         """(batches, n, 3) the image at some pixels (n, 2), by random numbers of a purpose of their own.
 
         Args:
             paths: those of the Jacobian by default.
             pose: the view's own by default.
+            even: see `Measurable.start_image`.
         """
-        return self.view.start_image(pixels, paths or self.paths, purpose=purpose, pose=pose)()
+        start = self.view.start_image
+        return start(pixels, paths or self.paths, purpose=purpose, pose=pose, even=even)()
 
     def jacobian(self, *, pilot: bool = False) -> ImageJacobian:
         """The Jacobian of every selected pixel, held at once, row by row; `pilot` as for `tiles`."""
