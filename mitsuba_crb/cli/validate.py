@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from ..measure.options import VALIDATING, MeasurementOptions
+from ..measure.options import MeasurementOptions
 from .options import (
     Batches,
     Debug,
@@ -50,7 +50,20 @@ def validate(
         int, typer.Option(metavar="L", help="Halvings of the image that a search begins with.")
     ] = 0,
     method: Method = MeasurementOptions.method,
-    spp: Spp = VALIDATING["spp"],
+    spp: Spp = None,
+    precision: Annotated[
+        float | None,
+        typer.Option(
+            metavar="P",
+            help="Largest part of the errors' variance that may be the renderer's. Default: 0.05.",
+        ),
+    ] = None,
+    max_spp: Annotated[
+        int | None,
+        typer.Option(
+            "--max-spp", metavar="N", help="Most paths per pixel; default: 256, or more of a small image."
+        ),
+    ] = None,
     seed: Seed = MeasurementOptions.seed,
     batches: Batches = MeasurementOptions.batches,
     size: Size = None,
@@ -88,6 +101,8 @@ def validate(
             drop_invalid=drop_invalid,
             integrator=integrator,
             spp=spp,
+            precision=precision,
+            max_spp=max_spp,
             seed=seed,
             batches=batches,
         )

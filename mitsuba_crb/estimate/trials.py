@@ -4,7 +4,8 @@ Each trial adds noise to the expected image, perturbs the pose, aligns (`align`)
 ξ = log(truth⁻¹ estimate), see `trial`. Expected image, Jacobian and bound are measured once at the truth. The
 expected image is *defined* as that render: tied to it (`misfit.Anchor`), the estimator's own render of the
 true pose is exact, and away from it unbiased, so that the renderer's noise adds no bias and only the variance
-that `excess` states; `renderer_part` frees the errors of it, and says what they tell.
+that `excess` states; `renderer_part` frees the errors of it, and says what they tell. How many paths make it
+small is foretold before the trials start (`foretold`), unless their number is given.
 
 A trial has failed if its search did not end, or ended where the image does not fit; failures are counted
 apart.
@@ -30,14 +31,15 @@ from ..information.accumulate import fisher_information
 from ..information.image_jacobian import ImageJacobian
 from ..information.symmetric import unpack
 from ..measure.mitsuba_view import wanted
-from ..measure.options import VALIDATING, MeasurementKeywords, MeasurementOptions
+from ..measure.options import MeasurementKeywords, MeasurementOptions
 from ..noise import Gaussian
 from ..processes import in_processes
 from ..render.backend import same_variant
 from ..render.fingerprint import fingerprint, mask_fingerprint
 from ..render.scene import SceneFile, as_scene
 from ..se3 import Array
-from .renderer_part import RendererPart, Verdict, renderer_part
+from .foretold import settled
+from .renderer_part import SMALL, RendererPart, Verdict, renderer_part
 from .trial import Setup, Trial, run_trials
 from .trial_record import recorded, resumed, write_record
 from .truth import truth_of
@@ -151,8 +153,10 @@ def validate(
             its trials are kept, be they more than `trials`, and new ones are written to it as they end.
         on_trial: called after each trial.
         defines: the scene file's `<default>`s.
-        options: see `MeasurementOptions`; defaults in `options.VALIDATING`. The bound is that of the pixels
-            that `pixels` chooses, which are all that the estimator has.
+        options: see `MeasurementOptions`. The bound is that of the pixels that `pixels` chooses, which are
+            all that the estimator has. Without `spp` the paths are so many that the renderer's part of the
+            errors is foretold to be below `precision` (0.05), at most `max_spp` per pixel: by default 256,
+            or as many as render the expected image by 2^24 in all.
 
     Raises:
         TrialError: too few trials, a resume file of other settings, or too few that did not fail.
@@ -163,10 +167,13 @@ def validate(
     if perturb_deg < 0.0 or perturb_trans < 0.0:
         raise TrialError("perturb_deg and perturb_trans must not be negative")
     record = recorded(resume)
-    options = {**VALIDATING, **options}
     named = dict(defines or {})
     source = SceneFile(scene, named) if isinstance(scene, str | Path) else scene
-    loaded, _ = as_scene(source, wanted(MeasurementOptions(**options)))
+    given = MeasurementOptions(**options)
+    loaded, _ = as_scene(source, wanted(given))
+    limit = SMALL if given.precision is None else given.precision
+    if given.spp is None:
+        options = settled(loaded, sigma, options)
     anchor, jacobian, chosen, names = truth_of(loaded, sigma, options)
     selection = dataclasses.asdict(jacobian.selection)
     settings = {
@@ -202,7 +209,7 @@ def validate(
             on_trial(sum(index < trials for index in done), trials)
     ordered = [done[index] for index in sorted(done)]
     noise = Gaussian(chosen if assumed_sigma is None else assumed_sigma)
-    result = _judge(settings, tuple(ordered[:trials]), jacobian, noise, confidence)
+    result = _judge(settings, tuple(ordered[:trials]), jacobian, noise, confidence, limit)
     return dataclasses.replace(result, further=tuple(ordered[trials:]))
 
 
@@ -212,6 +219,7 @@ def _judge(
     jacobian: ImageJacobian,
     noise: Gaussian,
     confidence: float,
+    limit: float,
 ) -> Validation:
     information = fisher_information(jacobian, noise)
     with warnings.catch_warnings():
@@ -246,5 +254,6 @@ def _judge(
             information,
             unpack(np.mean([t.added for t in good], axis=0)),
             confidence=confidence,
+            limit=limit,
         ),
     )

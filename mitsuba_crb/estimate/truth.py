@@ -16,7 +16,7 @@ from ..noise import Gaussian
 from ..render.lending import in_turn
 from .misfit import Anchor
 
-_TIMES = 16
+TIMES = 16
 """Paths per pixel of the expected image and its Jacobian, over those of a trial's renders."""
 _EXPECTED = 0x45585045
 """Purpose of the random numbers of the expected image."""
@@ -48,7 +48,7 @@ def truth_of(scene: Any, sigma: float | None, options: MeasurementKeywords) -> T
         TrialError: the film measures luminance alone.
         MitsubaCRBError: as `pose_jacobian`.
     """
-    many: MeasurementKeywords = {**options, "spp": _TIMES * MeasurementOptions(**options).uniform_spp}
+    many: MeasurementKeywords = {**options, "spp": TIMES * MeasurementOptions(**options).uniform_spp}
     with measurement(scene, **many) as run:
         run = run.only()
         if run.view.luminance:

@@ -175,7 +175,5 @@ MAX_PATHS = 1 << 26
 """Default of what a precision may take, in all."""
 CHECKING: MeasurementKeywords = {"spp": 256, "batches": 8}
 """Defaults of `check_jacobian`: more batches than a bound's, for errors that are certain themselves."""
-VALIDATING: MeasurementKeywords = {"spp": 256}
-"""Defaults of `validate`."""
 DISPLACING: MeasurementKeywords = {"tile": 64}
 """Defaults of `hcr_bound`: all displaced images of a tile are held at once."""

@@ -306,7 +306,7 @@ def test_the_keywords_are_the_options():
 
 @pytest.mark.parametrize(
     ("command", "other"),
-    [(cli.bound, {}), (cli.check, measuring.CHECKING), (cli.validate, measuring.VALIDATING)],
+    [(cli.bound, {}), (cli.check, measuring.CHECKING), (cli.validate, {})],
 )
 def test_defaults_are_the_librarys(command, other):
     ours = {name: option.default for name, option in inspect.signature(command).parameters.items()}
@@ -584,7 +584,7 @@ def test_tables_and_pictures_keep_the_brackets_of_names(capsys, tmp_path, monkey
     small = ["--size", "16x12", "--spp", "8"]
 
     def said(*arguments):
-        assert cli.run([*arguments]) in (0, 1)
+        assert cli.run([*arguments]) in (0, 1, 3)
         return capsys.readouterr().out
 
     bound = said("bound", str(scene_file), *small, "--prior", str(prior), "--plot", "bound.png")

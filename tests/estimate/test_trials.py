@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import inspect
+import io
 import json
+import math
 import os
 import shutil
 from dataclasses import replace
@@ -12,16 +14,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 from small_scenes import camera, textured_wall, torn_wall
 
 from mitsuba_crb.bound.consistency import Consistency, consistency
 from mitsuba_crb.errors import BlindSpotWarning, OptionError, OutOfViewError, RadianceError, TrialError
 from mitsuba_crb.estimate import trial, trials
 from mitsuba_crb.estimate.align import align
+from mitsuba_crb.estimate.renderer_part import renderer_part
 from mitsuba_crb.estimate.trial_record import SCHEMA, recorded
 from mitsuba_crb.estimate.trials import validate
 from mitsuba_crb.export.documents import validation_document, write_json
+from mitsuba_crb.information.symmetric import unpack
 from mitsuba_crb.measure import measurement as measure
+from mitsuba_crb.show.trials_page import validation_figure
+from mitsuba_crb.show.trials_table import print_validation
 
 OPTIONS: dict[str, Any] = {"size": (16, 12), "spp": 32, "sigma": 0.005, "perturb_deg": 0.2, "seed": 5}
 
@@ -171,10 +178,13 @@ def test_other_versions_are_named_and_not_resumed(tmp_path: Path, monkeypatch: p
 
 
 def test_every_option_that_changes_a_result_is_among_the_settings(tmp_path: Path) -> None:
-    """`tile` bounds memory only, and `on_tile` looks on; `exposure` acts by sigma, and trials never clip."""
+    """`tile` bounds memory only; `exposure` acts by sigma, a precision by `spp`, and trials never clip."""
     found = validate(textured_wall(), **(OPTIONS | {"spp": 16, "trials": 7}))
     options = set(measure.MeasurementOptions.__annotations__)
-    assert options - found.settings.keys() == {"tile", "on_tile", "exposure", "clip"}
+    assert options - found.settings.keys() == {
+        *("tile", "on_tile", "on_progress", "on_round"),
+        *("exposure", "clip", "precision", "max_spp"),
+    }
     arguments = inspect.signature(validate).parameters.keys() - found.settings.keys()
     judging = {"trials", "assumed_sigma", "confidence", "workers", "resume", "on_trial", "options"}
     assert arguments == judging
@@ -209,6 +219,69 @@ def test_pixels_that_are_not_finite_belong_neither_to_trials_nor_to_the_bound() 
     low, high = found.consistency.nees_band
     assert found.failed == ()
     assert low < found.consistency.nees / (1.0 + found.excess) < high
+
+
+BOXES: dict[str, Any] = {"size": (16, 12), "integrator": {"type": "path", "max_depth": 4}, "seed": 5}
+
+
+def test_where_the_renderers_noise_decides_the_verdict_is_inconclusive(scenes: Path) -> None:
+    """Few paths among edges and in indirect light are neither an agreement nor an alarm."""
+    noisy = validate(scenes / "boxes" / "boxes.xml", trials=16, spp=16, **BOXES)
+    assert noisy.excess > 0.2
+    assert (noisy.verdict, noisy.exit_code) == ("inconclusive", 3)
+    assert noisy.renderer.times > 1
+    assert noisy.cure == f"about {16 * noisy.renderer.times} paths per pixel would tell"
+    document = validation_document(noisy)
+    assert (document["verdict"], document["cure"]) == ("inconclusive", noisy.cure)
+    text = io.StringIO()
+    print_validation(Console(file=text, width=200), noisy)
+    # Bands alone say otherwise: the verdict overturns them, and stands before them.
+    assert text.getvalue().index("inconclusive") < text.getvalue().index("NEES, mean")
+    assert noisy.cure in validation_figure(noisy).get_suptitle()
+
+
+def test_a_wrong_bound_is_inconsistent_and_the_verdict_stands_below_the_table() -> None:
+    """Negative control: information scaled by 1.5 is that of less noise, by a root of 1.5."""
+    options = OPTIONS | {"trials": 80, "size": (12, 9), "spp": 64}
+    found = validate(textured_wall(), assumed_sigma=0.005 / math.sqrt(1.5), **options)
+    assert (found.verdict, found.exit_code, found.cure) == ("inconsistent", 1, "")
+    text = io.StringIO()
+    print_validation(Console(file=text, width=200), found)
+    assert text.getvalue().index("not as the bound says") > text.getvalue().index("NEES, mean")
+    right = validate(textured_wall(), **options)
+    assert (right.verdict, right.exit_code, right.cure) == ("consistent", 0, "")
+
+
+def test_without_a_number_of_paths_the_renderers_part_is_made_small(tmp_path: Path, scenes: Path) -> None:
+    """The same number, when resumed, and the same trials as with that number."""
+    boxes, file = scenes / "boxes" / "boxes.xml", tmp_path / "trials.json"
+    found = validate(boxes, trials=7, resume=file, **BOXES)
+    assert found.settings["spp"] > 64
+    assert found.excess < 0.1
+    calls: list[int] = []
+    options = BOXES | {"on_trial": lambda done, total: calls.append(done)}
+    again = validate(boxes, trials=7, resume=file, **options)
+    assert calls == []
+    assert again.settings == found.settings
+    given = validate(boxes, trials=7, resume=file, spp=found.settings["spp"], **options)
+    assert calls == []
+    assert given.trials == found.trials
+    few = validate(boxes, trials=7, max_spp=66, precision=0.01, **BOXES)
+    assert few.settings["spp"] == 64  # a multiple of the batches
+    assert (few.renderer.limit, few.verdict) == (0.01, "inconclusive")
+
+
+@pytest.mark.slow
+def test_a_room_with_light_of_several_bounces_is_consistent(scenes: Path) -> None:
+    """Boxes by path tracing, without a number of paths; beside 1.5 times the information they are not."""
+    path, integrator = scenes / "boxes" / "boxes.xml", {"type": "path", "max_depth": 4}
+    found = validate(path, size=(32, 24), integrator=integrator, trials=60, seed=3, workers=None)
+    assert found.settings["spp"] > 64
+    assert (found.verdict, found.failed) == ("consistent", ())
+    F = found.bound.information
+    added = unpack(np.mean([t.added for t in found.trials], axis=0))
+    wrong = renderer_part(found.errors, replace(F, matrix=1.5 * F.matrix), added)
+    assert wrong.verdict == "inconsistent"
 
 
 @pytest.mark.slow
