@@ -72,16 +72,16 @@ def test_one_direction_gets_neyman_s_allocation() -> None:
 
 
 def test_directions_reach_their_goals_together() -> None:
-    """One whose variance is in few cells, one spread out: with the same goal neither is left behind."""
+    """Each has its variance in cells of its own: with the same goal neither is left behind."""
     variance = np.ones((2, 8, 8))
-    variance[0, 0] = np.geomspace(20.0, 200.0, 8)
-    variance[1] = 4.0
+    variance[0, 0] = np.geomspace(200.0, 400.0, 8)
+    variance[1, 7] = np.geomspace(100.0, 800.0, 8)
     spp, _ = allocate(_needs(variance, np.full(2, 1e-9)), 8, 64 * 512)
     both = np.sum(variance / spp, axis=(1, 2))
     assert both.max() < 1.4 * both.min()  # powers of two
     alone, _ = allocate(_needs(variance[:1], np.full(1, 1e-9)), 8, 64 * 512)
     left = np.sum(variance / alone, axis=(1, 2))
-    assert left[1] > 1.1 * both[1]  # what an allocation for the first alone does to the other
+    assert left[1] > 2.0 * both[1]  # what an allocation for the first alone does to the other
 
 
 def test_it_spends_what_the_goal_takes_and_no_more() -> None:
