@@ -150,7 +150,7 @@ class Rounds:
         bound = self._bound(found.joint)
         needs, hidden = self._needs(found, bound)
         spp, _ = allocate(needs, self._least, left)
-        if any(each.hidden for each in self.done):
+        if bound.rank < 6 and any(each.hidden for each in self.done):
             # What it took to come out of the noise: with less, the answer would not say what is known.
             enough = np.maximum(spp, _AGAIN * plan.spp)
             spp = enough if np.sum(self._pixels * enough) <= left else self._in_between(needs, left)

@@ -180,7 +180,7 @@ def _bound_facts(bound: PoseBound) -> list[tuple[str, str]]:
     rows.append(
         (
             "method",
-            f"{facts['method']}, {_paths(facts)} in {facts['batches']} batches, seed {facts['seed']}",
+            f"{facts['method']}, {_paths(facts)}, seed {facts['seed']}",
         )
     )
     differences = facts.get("finite_differences") or {}
@@ -194,13 +194,13 @@ def _paths(facts: dict[str, Any]) -> str:
     """How many there were, and where they went."""
     sampling = facts.get("sampling")
     if sampling is None:
-        return f"{facts['spp']} paths per pixel"
+        return f"{facts['spp']} paths per pixel in {facts['batches']} batches"
     spp, rounds = sampling["spp"], len(sampling["rounds"])
     own = f"{spp['most']} paths per pixel"
     if spp["least"] < spp["most"]:
-        own = f"{spp['least']} to {own} where they were needed, {spp['mean']:.3g} on average,"
-    before = f" after {rounds} round{'s' * (rounds > 1)} that decided on them" if rounds else ""
-    return f"{own}{before}"
+        own = f"{spp['least']} to {own} ({spp['mean']:.3g} on average)"
+    before = f", after {rounds} round{'s' * (rounds > 1)} that decided on them" if rounds else ""
+    return f"{own} in {facts['batches']} batches{before}"
 
 
 def unobserved_facts(bound: PoseBound) -> list[tuple[str, str]]:
