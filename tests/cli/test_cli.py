@@ -151,6 +151,21 @@ def test_table_says_what_is_unseen(rendered, capsys):
         assert direction.description in out
 
 
+@pytest.mark.filterwarnings("ignore:not resolved:mitsuba_crb.errors.PrecisionWarning")
+@pytest.mark.filterwarnings("ignore:the bound on:mitsuba_crb.errors.PrecisionWarning")
+def test_table_says_what_is_not_resolved_above_the_numbers(rendered, capsys):
+    rendered.view = synthetic_view.jacobian(unseen=(1, 5), noise=3.0)
+    bound = synthetic_view.bound(rendered.view)
+    verdicts = [*bound.position_verdict, *bound.rotation_verdict]
+    limits = [*bound.position_std_lower_limit, *bound.rotation_std_deg_lower_limit]
+    assert cli.run(["bound", "room.xml"]) == 0
+    out = capsys.readouterr().out
+    assert f"not resolved: {bound.not_resolved}" in out
+    assert out.index("not resolved: ") < out.index("1σ bound")
+    assert f"> {limits[verdicts.index('not resolved')]:.3g} " in out
+    assert f"note: not resolved: {bound.not_resolved}" not in out
+
+
 @pytest.mark.parametrize("frame", ["camera", "world"])
 def test_all_outputs_are_written_and_agree(rendered, capsys, tmp_path, frame):
     files = {name: tmp_path / f"out.{name}" for name in ("json", "exr", "plot")}

@@ -134,6 +134,20 @@ def test_unseen_axis_across_the_plane_leaves_its_picture_finite():
     assert "unseen" not in words(ax)
 
 
+def test_axis_that_is_not_resolved_is_dashed_and_says_so():
+    styles = {}
+    for unresolved in (False, True):
+        ax = axes()
+        plot.draw_ellipse(
+            ax, np.array([np.inf, 2.0, 0.5]), np.eye(3), (0, 1), reach=4.0, unresolved=unresolved
+        )
+        styles[unresolved] = ax.patches[1].get_linestyle(), ax.patches[0].get_hatch(), words(ax).strip()
+    assert styles[True][:2] == ("--", None)
+    assert styles[False][:2] == ("-", "////")
+    assert "not resolved" in styles[True][2]
+    assert "not resolved" not in styles[False][2]
+
+
 def test_plane_that_is_unseen_everywhere_is_filled_and_says_so():
     ax = axes()
     plot.draw_ellipse(ax, np.array([np.inf, np.inf, 0.5]), np.eye(3), (0, 1), reach=4.0)
