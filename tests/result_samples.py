@@ -241,5 +241,5 @@ def _findings(rng: np.random.Generator) -> Iterator[Record]:
     numbers = np.array([1.0, np.nan, 0.1 + 0.2, -0.0, np.inf, 5e-324])
     row = MethodCheck("flow", numbers, numbers, numbers, numbers, numbers, numbers > 1.0, np.inf)
     yield row
-    yield JacobianCheck((row, row), np.inf, rng.normal(size=6), 0.15, 512)
+    yield JacobianCheck((row, row), np.inf, rng.normal(size=6), 0.15, 512, 64)
     yield Diagnosis((Row("Python", "3.11", True), Row("LLVM", "none", False)))

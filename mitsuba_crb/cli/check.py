@@ -33,7 +33,13 @@ def check(
         list[str],
         typer.Option(metavar="M", help="Method to check, repeatable: flow, as bound uses it, or forward."),
     ] = [MeasurementOptions.method],  # noqa: B006  # read once, by Typer
-    spp: Spp = CHECKING["spp"],
+    spp: Spp = None,
+    max_spp: Annotated[
+        int | None,
+        typer.Option(
+            "--max-spp", metavar="N", help="Most paths per pixel; default: 256, or more of a small image."
+        ),
+    ] = None,
     seed: Seed = MeasurementOptions.seed,
     batches: Batches = CHECKING["batches"],
     size: Size = None,
@@ -44,7 +50,7 @@ def check(
     variant: Variant = None,
     debug: Debug = False,
 ) -> int:
-    """Compare a method with finite differences on this scene.
+    """Compare a method with finite differences on this scene, with as many paths as it takes to tell.
 
     Exit code 0 if they agree, 1 if they disagree, 3 if this many paths cannot tell.
     """
@@ -59,6 +65,7 @@ def check(
             drop_invalid=drop_invalid,
             integrator=integrator,
             spp=spp,
+            max_spp=max_spp,
             seed=seed,
             batches=batches,
         )

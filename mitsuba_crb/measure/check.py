@@ -17,6 +17,9 @@ numbers. Its bias goes as h^p, p = 1 with a box filter and 2 with others, whence
 What the next order would make of it, |c_p − c_{p+1}| |F(h) − F(2h)|, is allowed for. Where the correction is
 more than `AGREEMENT`, the steps disagree, and nothing is decided. J_h itself may be off by twice what it is
 at an edge (`edge_misfit`).
+
+Without a number of paths a check goes on in rounds until it can tell. Each has random numbers of its own, and
+a size that the round before it has fixed; the last is the answer, and those before it are forgotten.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from itertools import count
 from typing import Any, Self, Unpack
 
 import numpy as np
@@ -51,6 +55,14 @@ CHECKED = tuple(name for name in METHODS if name != REFERENCE.name)
 """What can be checked."""
 
 _SIGMAS = 3.0
+_MOST = 1 << 22
+"""Paths in all, beside 24 times as many of the reference, within which `max_spp` is by default..."""
+_FEWEST_MOST = 256
+"""... but not below this."""
+_LEAP = 8
+"""Times the paths of one round, the most that the next has: few paths tell little of how many it takes."""
+_ROUND = 0x4348434B
+"""Purpose of a round's seed."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,6 +108,8 @@ class JacobianCheck(Record):
     """Image motion of the shorter step [pixel]."""
     paths: int | None
     """Paths per pixel that would decide, about; None if it is decided, or no number would."""
+    spp: int
+    """Paths per pixel that this took; finite differences trace 12 times that, at two steps."""
 
     @property
     def disagreeing(self) -> list[str]:
@@ -150,14 +164,16 @@ def check_jacobian(
         scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
         methods: names of the methods to check; by default that of a bound.
         options: see `MeasurementOptions`, of which `method` and `step_pixels` are set here; defaults in
-            `options.CHECKING`. Finite differences trace 12 times `spp`, at two steps.
+            `options.CHECKING`. Finite differences trace 12 times `spp`, at two steps. Without `spp` there are
+            rounds until the verdict stands, or the next would take more than `max_spp`: by default 256, or
+            as many as are 2^22 in all.
 
     Returns:
         `JacobianCheck`; its `exit_code` is 0 (agree within what was detectable, and that is at most 5 %), 1
         (disagree) or 3 (inconclusive: `paths` says how many would decide, if that is it).
 
     Raises:
-        OptionError: no method, or an unknown one.
+        OptionError: no method, an unknown one, or a precision: it is `AGREEMENT`.
     """
     unknown = [name for name in methods if name not in CHECKED]
     if unknown or not methods:
@@ -165,15 +181,34 @@ def check_jacobian(
 
     options = {**CHECKING, **options}
     given = MeasurementOptions(**options)
+    if given.precision is not None:
+        raise OptionError(f"a check tells at {AGREEMENT:.0%}; leave out precision, or give spp or max_spp")
     loaded, _ = as_scene(scene, wanted(given))
-    with open_measurable(loaded, given) as view:
+    with measurement(loaded, **options) as run:
+        fixed: MeasurementKeywords = {**options, "pixels": run.mask, "max_spp": None}
+    if given.spp is not None:
+        return _checked(loaded, methods, fixed)
+    spp = given.uniform_spp
+    most = max(_FEWEST_MOST, _MOST // int(fixed["pixels"].sum())) if given.max_spp is None else given.max_spp
+    for number in count():
+        spp = min(spp, most - most % given.batches)
+        seed = np.random.SeedSequence([given.seed, _ROUND, number]).generate_state(1, np.uint64)[0]
+        found = _checked(loaded, methods, {**fixed, "spp": spp, "seed": int(seed >> 1)})
+        if found.paths is None or 2 * spp > most:
+            break
+        spp = min(max(2 * spp, found.paths), _LEAP * spp)
+    return found
+
+
+def _checked(scene: Any, methods: Sequence[str], options: MeasurementKeywords) -> JacobianCheck:
+    """By as many paths and at the pixels that the options say."""
+    given = MeasurementOptions(**options)
+    with open_measurable(scene, given) as view:
         step = step_for(view.pixel_filter)
         order = order_of(view.pixel_filter, step)
         off = math.sqrt(edge_misfit(view.pixel_filter, step))
         # Translation steps have a longest, which takes both to the same bias.
         doubled = steps_of(view, 2.0 * step) > 1.9 * steps_of(view, step)
-    with measurement(loaded, **options) as run:
-        options["pixels"] = run.mask
 
     def jacobian(method: str, stream: int, step_pixels: float | None = None) -> ImageJacobian:
         own: MeasurementKeywords = {
@@ -182,7 +217,7 @@ def check_jacobian(
             "seed": given.seed + stream,
             "step_pixels": step_pixels,
         }
-        with measurement(loaded, **own) as run:
+        with measurement(scene, **own) as run:
             run.warn_of_limits()
             return run.jacobian()
 
@@ -197,14 +232,14 @@ def check_jacobian(
         rows.append(_compare(method, ours, steps, fisher_information(own - fine, noise), off))
     known = [row.detectable[~np.isnan(row.detectable)] for row in rows]
     needed = max(row.paths for row in rows)
-    result = JacobianCheck(
+    return JacobianCheck(
         tuple(rows),
         max((float(values.max()) for values in known if values.size), default=np.inf),
         _Steps.of(fine, coarse, order, doubled, noise).bias,
         step,
-        int(given.spp * 2 ** np.ceil(np.log2(needed))) if 1.0 < needed < np.inf else None,
+        int(given.uniform_spp * 2 ** np.ceil(np.log2(needed))) if 1.0 < needed < np.inf else None,
+        given.uniform_spp,
     )
-    return result
 
 
 @dataclasses.dataclass(frozen=True)

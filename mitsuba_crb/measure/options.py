@@ -173,7 +173,7 @@ PRECISION = 0.05
 """Default of `precision`."""
 MAX_PATHS = 1 << 26
 """Default of what a precision may take, in all."""
-CHECKING: MeasurementKeywords = {"spp": 256, "batches": 8}
+CHECKING: MeasurementKeywords = {"batches": 8}
 """Defaults of `check_jacobian`: more batches than a bound's, for errors that are certain themselves."""
 DISPLACING: MeasurementKeywords = {"tile": 64}
 """Defaults of `hcr_bound`: all displaced images of a tile are held at once."""

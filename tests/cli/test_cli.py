@@ -463,7 +463,7 @@ def test_check_prints_columns_and_returns_the_verdict(monkeypatch, capsys, ratio
         np.full(6, ratio != 1),
         156.25,
     )
-    result = validation.JacobianCheck((row,), 3 * spread, 0 * one, 0.15, 40000)
+    result = validation.JacobianCheck((row,), 3 * spread, 0 * one, 0.15, 40000, 256)
 
     def check_jacobian(loaded, **options):
         for _ in range(2):
@@ -484,7 +484,7 @@ def test_check_prints_columns_and_returns_the_verdict(monkeypatch, capsys, ratio
 def test_check_with_nothing_to_compare_says_so(monkeypatch, capsys):
     unknown = np.full(6, np.nan)
     row = validation.MethodCheck("forward", *[unknown] * 5, np.zeros(6, bool), 1.0)
-    result = validation.JacobianCheck((row,), np.inf, np.zeros(6), 0.15, None)
+    result = validation.JacobianCheck((row,), np.inf, np.zeros(6), 0.15, None, 64)
     monkeypatch.setattr(validation, "check_jacobian", lambda loaded, **options: result)
     assert cli.run(["check", "room.xml"]) == 3
     out = capsys.readouterr().out

@@ -16,6 +16,7 @@ from mitsuba_crb.errors import BlindSpotWarning, OptionError
 from mitsuba_crb.information.blocks import BLOCK
 from mitsuba_crb.jacobian import finite_difference, flow
 from mitsuba_crb.jacobian.silhouettes import Contours
+from mitsuba_crb.measure import check as checking
 from mitsuba_crb.noise import Gaussian
 
 FORWARD = {"methods": ("forward",)}
@@ -81,6 +82,43 @@ def test_as_many_paths_as_it_says_decide() -> None:
     assert few.rows[0].undecided.any()
     many = check_jacobian(wall, spp=2 * few.paths, seed=3)
     assert (many.verdict, many.paths, many.cure) == ("agree", None, "")
+
+
+def test_without_a_number_of_paths_it_goes_on_until_it_can_tell(
+    monkeypatch: pytest.MonkeyPatch, scenes: Path
+) -> None:
+    """In rounds of fresh random numbers, whose last alone is the answer; or until its paths are spent."""
+    boxes, rounds = scenes / "boxes" / "boxes.xml", []
+    checked = checking._checked
+
+    def observed(scene: Any, methods: Any, options: Any) -> Any:
+        rounds.append((options["spp"], options["seed"], checked(scene, methods, options)))
+        return rounds[-1][2]
+
+    monkeypatch.setattr(checking, "_checked", observed)
+    options: dict[str, Any] = {"size": (16, 12), "batches": 4}
+    found = check_jacobian(boxes, seed=2, max_spp=300, **options)
+    assert found is rounds[-1][2]
+    assert [spp for spp, _, _ in rounds] == [64, 300]
+    assert len({seed for _, seed, _ in rounds}) == 2
+    assert (found.verdict, found.spp) == ("inconclusive", 300)
+    assert found.cure == f"about {found.paths} paths per pixel would tell"
+    alone = check_jacobian(boxes, spp=300, seed=rounds[-1][1], **options)
+    np.testing.assert_array_equal(alone.rows[0].ratio, found.rows[0].ratio)
+    # What tells ends it.
+    rounds.clear()
+    check_jacobian(textured_wall(sensor=camera(24, 16)), batches=4)
+    *before, last = [found.verdict for _, _, found in rounds]
+    assert last == "agree"
+    assert set(before) <= {"inconclusive"}
+    with pytest.raises(OptionError, match="leave out precision"):
+        check_jacobian(boxes, precision=0.01)
+
+
+@pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.BlindSpotWarning")
+def test_a_disagreement_that_few_paths_show_needs_no_more() -> None:
+    found = check_jacobian(scene(wall=wall(texture(filter_type="nearest"))), batches=4, **FORWARD)
+    assert (found.verdict, found.spp) == ("disagree", 64)
 
 
 @pytest.mark.slow
