@@ -88,7 +88,7 @@ class TestLowerLimits:
                 found[verdict].append(wrong)
         return {name: np.mean(wrong) for name, wrong in found.items()}, min(map(len, found.values()))
 
-    @pytest.mark.parametrize("cases", [150, pytest.param(2000, marks=pytest.mark.slow)])
+    @pytest.mark.parametrize("cases", [150, pytest.param(1000, marks=pytest.mark.slow)])
     def test_the_truth_lies_above_them_in_98_of_100_cases(self, cases):
         broken, least = self.broken(cases)
         assert least > 0.5 * cases
@@ -205,26 +205,24 @@ class TestFiniteNumbers:
         for _ in range(cases):
             F, *estimate = case(rng, rank=6, smallest=-2.0)
             inverse = inverse_of(*estimate)
-            if inverse.identifiability.rank == 6:
-                continue
             std = np.sqrt(np.diagonal(inverse.covariance(AXES)))
             error = inverse.standard_error(AXES, std)
             finite = np.isfinite(std)
             count += finite.sum()
             wrong += np.sum((true_deviations(F) - std > 4.0 * error)[finite])
-        return wrong, count, 6 * cases
+        return wrong, count
 
     @pytest.mark.slow
     def test_hardly_any_is_four_errors_too_small(self):
-        wrong, _, numbers = self.too_small(600)
-        assert wrong <= 0.01 * numbers
+        wrong, count = self.too_small(800)
+        assert wrong <= 0.01 * count
 
     @pytest.mark.slow
     def test_many_would_be_if_failing_to_find_a_share_proved_none(self, monkeypatch):
         """Negative control: the rule without the tilt's error."""
         monkeypatch.setattr(inverses, "LARGEST_TILT", np.inf)
-        wrong, count, _ = self.too_small(150)
-        assert wrong > 0.1 * count
+        wrong, count = self.too_small(800)
+        assert wrong > 0.02 * count
 
     def test_a_tilt_that_noise_leaves_open_keeps_no_number(self):
         """A weak direction tilted by 0.3, of which the estimate shows only that it may be."""
