@@ -33,10 +33,10 @@ from .plan import Plan
 ROUND = 0x524F554E
 """Purpose of the rounds' random numbers."""
 
-_FAR = 8.0
+_FAR = 16.0
 """Times what has been spent, beyond which another round betters the allocation first."""
-_BETWEEN = 2.0
-"""Times what has been spent, of such a round."""
+_BETWEEN = 0.125
+"""Of what is needed, in such a round."""
 _EXPLORING = 4.0
 """Times what has been spent, of a round for what noise still hides."""
 _AGAIN = 2
@@ -154,8 +154,9 @@ class Rounds:
             # What it took to come out of the noise: with less, the answer would not say what is known.
             enough = np.maximum(spp, _AGAIN * plan.spp)
             spp = enough if np.sum(self._pixels * enough) <= left else self._in_between(needs, left)
-        between = (_EXPLORING if hidden.any() else _BETWEEN) * spent
-        final = not hidden.any() and np.sum(self._pixels * spp) <= _FAR * spent
+        needed = float(np.sum(self._pixels * spp))
+        between = _EXPLORING * spent if hidden.any() else _BETWEEN * needed
+        final = not hidden.any() and needed <= _FAR * spent
         if not final:
             # What is left after a round in between must be worth more than that.
             final = left < 2.0 * between

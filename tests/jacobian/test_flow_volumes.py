@@ -94,7 +94,8 @@ def test_a_thin_lens_among_volumes_leaves_rotation_to_finite_differences_too() -
     with open_view(SCENES["cloud"] | {"camera": lens}) as view:
         pixels = coarse_grid(view.size, 16).reshape(-1, 2)
         found = estimated(flow.Flow, view, pixels, **options)
-        method = flow.Flow(view, np.ones((12, 16), dtype=bool), Paths(**options))
+        paths = Paths(**options)
+        method = flow.Flow(view, np.ones((12, 16), dtype=bool), paths.seed)
         rows = np.flatnonzero(found.causes != "")
         assert len(rows)
-        np.testing.assert_array_equal(found.columns[:, rows], method.differences(pixels[rows], 6))
+        np.testing.assert_array_equal(found.columns[:, rows], method.differences(pixels[rows], 6, paths))
