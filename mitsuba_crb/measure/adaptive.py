@@ -33,11 +33,11 @@ from .plan import Plan
 ROUND = 0x524F554E
 """Purpose of the rounds' random numbers."""
 
-_FAR = 16.0
+_FAR = 8.0
 """Times what has been spent, beyond which another round betters the allocation first."""
-_BETWEEN = 0.125
+_BETWEEN = 0.15
 """Of what is needed, in such a round."""
-_EXPLORING = 4.0
+_EXPLORING = 2.0
 """Times what has been spent, of a round for what noise still hides."""
 _AGAIN = 2
 """Times the paths by which something came out of the noise, of the answer."""
