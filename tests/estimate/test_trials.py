@@ -325,7 +325,10 @@ def test_gauss_newton_attains_the_bound_in_the_textured_room(scenes: Path) -> No
 
 @pytest.mark.slow
 def test_the_renderers_noise_adds_the_variance_that_is_said_and_no_bias(scenes: Path) -> None:
-    """With a sixteenth of the paths errors have 1.6 times the bound's variance: all of it is foretold."""
+    """With a sixteenth of the paths errors have twice the bound's variance.
+
+    What is said is its first order, 1.6 times, and the verdict leaves room for the next.
+    """
     path = scenes / "textured_room" / "textured_room.xml"
     options: dict[str, Any] = {"size": (32, 24), "spp": 16, "sigma": 0.02, "perturb_deg": 0.2, "seed": 5}
     options["integrator"] = {"type": "direct", "emitter_samples": 4, "bsdf_samples": 0}
@@ -333,7 +336,9 @@ def test_the_renderers_noise_adds_the_variance_that_is_said_and_no_bias(scenes: 
     low, high = found.consistency.nees_band
     assert found.excess > 0.4
     assert found.consistency.nees > high
-    assert low < found.consistency.nees / (1.0 + found.excess) < high
+    next_order = found.excess**2 / (1.0 + found.excess)
+    assert low < found.consistency.nees / (1.0 + found.excess) < high * (1.0 + next_order)
+    assert found.verdict == "inconclusive"
     assert np.abs(found.consistency.bias).max() < 4.0  # Student's t, six of them: one in 1000 runs
 
 
