@@ -40,7 +40,7 @@ LARGEST_RELATIVE_ERROR = 0.1
 
 _POSITION_NAMES = ("x", "y", "z")
 _ROTATION_NAMES = ("pitch", "yaw", "roll")
-_AXES = (*(f"position {axis}" for axis in _POSITION_NAMES), *_ROTATION_NAMES)
+AXES = (*(f"position {axis}" for axis in _POSITION_NAMES), *_ROTATION_NAMES)
 
 
 # Rows are linear functionals of the scaled camera-frame twist.
@@ -186,7 +186,7 @@ class PoseBound(Record):
     def not_resolved(self) -> str | None:
         """What too few paths leave open, and how many would decide, in words; None if that is nothing."""
         verdicts = (*self.position_verdict, *self.rotation_verdict)
-        axes = [axis for axis, verdict in zip(_AXES, verdicts, strict=True) if verdict == "not resolved"]
+        axes = [axis for axis, verdict in zip(AXES, verdicts, strict=True) if verdict == "not resolved"]
         unresolved = [u for u in self.unobserved if u.verdict == "not resolved"]
         if not (axes or unresolved):
             return None
@@ -375,7 +375,7 @@ def _warn_of_imprecision(bound: PoseBound) -> None:
     relative = np.nan_to_num(errors / np.concatenate([bound.position_std, bound.rotation_std_deg]))
     worst = int(np.argmax(relative))
     if relative[worst] > LARGEST_RELATIVE_ERROR:
-        name = _AXES[worst]
+        name = AXES[worst]
         factor = math.ceil((relative[worst] / LARGEST_RELATIVE_ERROR) ** 2)
         warnings.warn(
             f"the bound on {name} is uncertain by {relative[worst]:.0%} and may be too large; "

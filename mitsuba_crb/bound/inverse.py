@@ -149,15 +149,20 @@ class Inverse:
         return covariance
 
     def standard_error(self, functionals: Array, std: Array) -> Array:
-        """(m,), of standard deviations: δ(σ²) = −bᵀ δF b with b = U Uᵀ M a, and the tilt's."""
+        """(m,), of standard deviations: δ(σ²) = −bᵀ δF b with b = U Uᵀ M a, and the tilt's.
+
+        Where a prior alone makes one finite, also by how much what noise hides could lower it.
+        """
         hidden, _ = self.kinds(functionals)
         U = self.identifiability.seen
         tilted, informed = (functionals @ root @ (root.T @ U) @ U.T for root in (self.tilted, self.informed))
         b = np.where(hidden[:, None], informed, tilted)
         tilt = np.where(hidden, 0.0, self._tilt(functionals, self.identifiability.unseen).error)
         variance_error = np.hypot(_quadratic_error(b, self.covariance_of_entries), tilt)
+        lowered = np.linalg.norm(functionals @ self.tilted, axis=1)
         with np.errstate(invalid="ignore"):
-            return np.where(np.isfinite(std), variance_error / (2.0 * std), np.nan)
+            errors = np.hypot(variance_error / (2.0 * std), np.where(hidden, std - lowered, 0.0))
+            return np.where(np.isfinite(std), errors, np.nan)
 
     def sensitivity(self, functionals: Array) -> tuple[Array, Array]:
         """b = M a (m, 6) of the columns in the camera frame, unscaled, and aᵀ M a (m,): δ(σ²) = −bᵀ δF b.

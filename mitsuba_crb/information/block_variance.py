@@ -9,6 +9,10 @@ by the analysis of variance of `ustatistic`, of the numbers bᵀ h_kl b instead 
 paths the linear part, signal by noise, is 1/n of that, and the degenerate one, noise by noise, 1/n². Either
 may be negative for one unit: they are unbiased.
 
+Paths that are rare and bright are in one batch of a unit, which then holds nearly all of the variance: what
+is known of it is what one batch has met, and by chance not yet met elsewhere. So beside the parts there is
+the number of equal units that it could be of, (Σ w)²/Σ w², w_u = Σ_k s_k², s_k = Σ_l (h_kl − F̂).
+
 Source: design section 11; Hoeffding 1948, as in `ustatistic`.
 """
 
@@ -23,6 +27,9 @@ from numpy.typing import NDArray
 from ..se3 import Array
 from .symmetric import pack
 
+FEW = 1.5
+"""Units' worth of variance below which one unit decides: nothing to know an error from."""
+
 
 @dataclass(frozen=True, eq=False)
 class BlockVariance:
@@ -34,6 +41,8 @@ class BlockVariance:
     """(m, units), what goes with one over the number of paths."""
     degenerate: Array
     """(m, units), what goes with one over its square."""
+    units: Array
+    """(m,), of how many equal units the variance could be; infinite where nothing varies."""
     effect: Array
     """(m, units) bᵀ F̂_u b / (2 σ²), by which σ would be larger, in first order, without the unit."""
 
@@ -41,8 +50,17 @@ class BlockVariance:
         """Of units that count so many times."""
         square = factor**2
         return BlockVariance(
-            self.corner, square * self.linear, square * self.degenerate, factor * self.effect
+            self.corner,
+            square * self.linear,
+            square * self.degenerate,
+            self.units,
+            factor * self.effect,
         )
+
+    @property
+    def rare(self) -> NDArray[np.bool_]:
+        """(m,) whether one unit decides."""
+        return np.asarray(self.units < FEW)
 
     @property
     def total(self) -> Array:
@@ -88,7 +106,15 @@ class BlockProducts:
         for pair, (k, j) in zip(d, combinations(range(K), 2), strict=True):
             s[k] += pair
             s[j] += pair
-        between = np.sum(s**2, axis=0) / (K - 2)
+        square = np.sum(s**2, axis=0)
+        between = square / (K - 2)
+        total, squares = square.sum(axis=1), np.sum(square**2, axis=1)
         within = 2.0 * (np.sum(d**2, axis=0) - between) / (K * (K - 3))
         linear = 4.0 / (K * (K - 2)) * (between / (K - 1) - within)
-        return BlockVariance(np.concatenate(self._corners), linear, 2.0 / (K * (K - 1)) * within, effect)
+        return BlockVariance(
+            np.concatenate(self._corners),
+            linear,
+            2.0 / (K * (K - 1)) * within,
+            np.divide(total**2, squares, out=np.full_like(total, np.inf), where=squares > 0.0),
+            effect,
+        )

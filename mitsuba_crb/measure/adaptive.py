@@ -19,13 +19,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bound.cramer_rao import TURN, PoseBound, cramer_rao_bound, position_functionals
+from ..bound.cramer_rao import AXES, TURN, PoseBound, cramer_rao_bound, position_functionals
 from ..errors import PrecisionWarning
 from ..information.allocation import Needs, allocate
 from ..information.block_variance import BlockProducts
 from ..information.blocks import BLOCK
 from ..information.joint import JointInformation, tile_side
 from ..noise import NoiseModel
+from ..se3 import Array
 from .measurement import Measurement
 from .options import MAX_PATHS, PRECISION
 from .plan import Plan
@@ -71,6 +72,18 @@ class Answer:
     """Those before it."""
     interrupted: bool = False
     """Whether a round was broken off, and this is the one before it."""
+
+    def rare(self, bound: PoseBound) -> list[str]:
+        """The standard deviations of its bound that are seen, but whose errors too few paths decide.
+
+        See `block_variance`.
+        """
+        vectors, values = sensitivities(self.joint, bound)
+        rare = self.products.variance(vectors, values).rare
+        verdicts = (*bound.position_verdict, *bound.rotation_verdict)
+        return [
+            axis for axis, verdict, few in zip(AXES, verdicts, rare, strict=True) if verdict == "seen" and few
+        ]
 
     @property
     def provenance(self) -> dict[str, Any]:
@@ -188,14 +201,13 @@ class Rounds:
     def _needs(self, found: Answer, bound: PoseBound) -> tuple[Needs, NDArray[np.bool_]]:
         """What is to be expected of each cell, and which of the six standard deviations are not resolved."""
         joint, selection = found.joint.marginalize(), self._run.selection
-        functionals = np.concatenate([position_functionals(bound.inverse), TURN])
-        vectors, values = bound.inverse.sensitivity(functionals)
-        ours = vectors @ joint.elimination.T
+        vectors, values = sensitivities(joint, bound)
         sampled = selection.kind == "random"
         scale = selection.total / selection.selected if sampled else 1.0
-        rounds = [(products.variance(ours, values).scaled(scale), spp) for products, spp in self._seen]
+        rounds = [(products.variance(vectors, values).scaled(scale), spp) for products, spp in self._seen]
         # What no paths can mend: the step of finite differences, and a random subset's choice.
-        fixed = np.square(np.einsum("mi,ij,mj->m", vectors, joint.bias, vectors) / (2.0 * values))
+        pose = vectors[:, :6]
+        fixed = np.square(np.einsum("mi,ij,mj->m", pose, joint.bias, pose) / (2.0 * values))
         if sampled:
             own = np.sum(rounds[-1][0].total, axis=1)
             fixed += np.maximum(np.nan_to_num(np.square(_relative_errors(bound))) - own, 0.0)
@@ -208,6 +220,13 @@ class Rounds:
         squares = np.square([*bound.position_std, *bound.rotation_std_deg])
         hidden = np.isfinite(squares) & (squares - values > precision * squares)
         return needs.smoothed(), hidden | (verdicts == "not resolved")
+
+
+def sensitivities(joint: JointInformation, bound: PoseBound) -> tuple[Array, Array]:
+    """b (6, 6 + m), in the columns of a joint information, and σ² (6,) of its bound, see `block_variance`."""
+    functionals = np.concatenate([position_functionals(bound.inverse), TURN])
+    vectors, values = bound.inverse.sensitivity(functionals)
+    return vectors @ joint.marginalize().elimination.T, values
 
 
 def _relative_errors(bound: PoseBound) -> NDArray[np.float64]:

@@ -9,13 +9,18 @@ from collections.abc import Sequence
 from typing import Any, Unpack
 
 from ..bound.cramer_rao import PoseBound, joint_bound
-from ..errors import BlindSpotWarning, SceneWarning
+from ..errors import BlindSpotWarning, PrecisionWarning, SceneWarning
 from ..information.image_jacobian import ImageJacobian
 from ..noise import NoiseModel
 from ..render.lending import in_turn
 from .adaptive import answer
 from .measurement import measurement
 from .options import MeasurementKeywords
+
+_NO_ERROR = (
+    "rare paths decide on the errors of {}, and few have been met: what is stated is no error, whatever its "
+    "size; more paths would tell"
+)
 
 
 @in_turn
@@ -76,6 +81,7 @@ def pose_bound(
     Warns:
         SceneWarning: nothing is visible, or something of the scene was left out or replaced.
         NuisanceWarning: the image does not see a nuisance.
+        PrecisionWarning: as `joint_bound`; rare bright paths decide, so that the stated errors are none.
     """
     start = time.perf_counter()
     caught: list[warnings.WarningMessage] = []
@@ -93,6 +99,10 @@ def pose_bound(
             rendered = time.perf_counter()
             alone = found.joint.marginalize()
             bound = joint_bound(alone, prior=prior)
+            rare = found.rare(bound)
+            no_error = [_NO_ERROR.format(", ".join(rare))] if rare else []
+            for text in no_error:
+                warnings.warn(text, PrecisionWarning, stacklevel=2)
     finally:
         for warning in caught:
             warnings.warn(warning.message, warning.category, stacklevel=3)
@@ -103,6 +113,7 @@ def pose_bound(
         "noise_inflation": alone.information.noise_inflation,
         "finite_differences": found.run.differences.to_dict(alone),
         "warnings": list(dict.fromkeys(str(warning.message) for warning in caught)),
+        "no_error": no_error,
         "no_bound": list(
             dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, BlindSpotWarning))
         ),

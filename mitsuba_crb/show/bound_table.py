@@ -47,6 +47,14 @@ def print_bound(console: Console, bound: PoseBound) -> None:
     for text in facts.get("no_bound", ()):
         print_line(console, Text("no bound: ", style="bold red"), text)
     print_not_resolved(console, bound)
+    for text in facts.get("no_error", ()):
+        print_line(console, Text("no error: ", style="bold red"), text)
+    if facts.get("sampling", {}).get("interrupted"):
+        print_line(
+            console,
+            Text("interrupted: ", style="bold red"),
+            "this is the answer of the round before",
+        )
     print_line(
         console, "No unbiased estimator of this camera's pose has smaller standard deviations than these:"
     )
@@ -54,7 +62,7 @@ def print_bound(console: Console, bound: PoseBound) -> None:
     if bound.if_known:
         _costs(console, bound)
     print_facts(console, _bound_facts(bound))
-    above = [*facts.get("no_bound", ()), f"not resolved: {bound.not_resolved}"]
+    above = [*facts.get("no_bound", ()), *facts.get("no_error", ()), f"not resolved: {bound.not_resolved}"]
     print_notes(console, [text for text in facts.get("warnings", ()) if text not in above])
 
 

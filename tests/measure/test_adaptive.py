@@ -233,3 +233,18 @@ def test_what_makes_no_sense_is_refused(options: dict[str, Any], words: str) -> 
         MeasurementOptions(**options)
     with pytest.raises(OptionError, match=words):
         pose_bound(textured_wall(), SIGMA, **options)
+
+
+def test_errors_that_one_block_decides_are_said_to_be_none() -> None:
+    """One bright small lamp seen through a tenth of a pixel's filter: hit by a few paths of thousands."""
+    speck = {
+        "type": "rectangle",
+        "to_world": T().translate([0.2, 0.15, 2.0]).rotate([0, 1, 0], 180).scale(0.002),
+        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 300.0}},
+    }
+    quiet = scene(sensor=camera(32, 24), wall=wall(texture(1)))
+    with_speck = {**quiet, "speck": speck}
+    bound = pose_bound(with_speck, SIGMA, spp=16)
+    assert bound.provenance["no_error"]
+    assert bound.provenance["no_error"][0] in bound.provenance["warnings"]
+    assert not pose_bound(quiet, SIGMA, spp=16).provenance["no_error"]
