@@ -43,7 +43,7 @@ def test_kernels_that_the_processor_cannot_run_are_skipped_by_name(tmp_path: Pat
 
 
 def test_what_imports_mitsuba_is_skipped_where_that_is_asked_for() -> None:
-    files = ("test_readme.py", "render/test_sobol.py", "test_numpy_layer_without_mitsuba.py")
+    files = ("test_se3.py", "render/test_sobol.py")
     run = _run("-m", "pytest", "-q", "-rs", "--without-mitsuba", *files)
     assert run.returncode == 0, run.stdout + run.stderr
     assert "imports mitsuba" in run.stdout

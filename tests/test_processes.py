@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import os
 import signal
 import subprocess
@@ -65,14 +66,19 @@ def _cores_and_threads(_: int) -> tuple[int, int, int]:
     return os.getpid(), processes.cores(), dr.thread_count()
 
 
-@pytest.mark.parametrize(("cores", "share"), [(7, 3), (1, 1)])
-def test_workers_share_the_cores(cores: int, share: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processes, "cores", lambda: cores)
+def test_workers_share_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "cores", lambda: 7)
     before = dr.thread_count()
     found = [seen for _, seen in processes.in_processes(_cores_and_threads, range(2), 2)]
-    assert [seen[1:] for seen in found] == [(share, share)] * 2
+    assert [seen[1:] for seen in found] == [(3, 3)] * 2
     assert os.getpid() not in [seen[0] for seen in found]
     assert dr.thread_count() == before
+
+
+def test_workers_of_one_core_have_one_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "_share", [1])
+    found = processes.in_processes(operator.call, [processes.cores] * 2, 2)
+    assert [share for _, share in found] == [1, 1]
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="cores cannot be forbidden here")

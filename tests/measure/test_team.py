@@ -232,21 +232,24 @@ class TestProcesses:
         with pytest.raises(WorkerError, match="--workers"):
             fuse_team(load_team(written(tmp_path)), workers=2)
 
-    @pytest.mark.parametrize("workers", [1, 2])
+    @pytest.mark.parametrize(
+        ("name", "measured", "workers"),
+        [
+            ("_bound", fuse_team, 1),
+            ("_bound", fuse_team, 2),
+            ("_tiles", lambda *a, **k: select_team(*a, Budget(), **k), 1),
+        ],
+        ids=["fuse", "fuse in processes", "select"],
+    )
     def test_an_agent_that_fails_has_warned_before(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, measured: Any, workers: int
     ) -> None:
-        team = load_team(written(tmp_path))
-        for name, measured in (
-            ("_bound", fuse_team),
-            ("_tiles", lambda *a, **k: select_team(*a, Budget(), **k)),
+        monkeypatch.setattr(team_measure, name, _warns_and_fails)
+        with (
+            pytest.warns(BlindSpotWarning, match="racks: it sees little"),
+            pytest.raises(SensorError, match="agent 'racks': it is broken"),
         ):
-            monkeypatch.setattr(team_measure, name, _warns_and_fails)
-            with (
-                pytest.warns(BlindSpotWarning, match="racks: it sees little"),
-                pytest.raises(SensorError, match="agent 'racks': it is broken"),
-            ):
-                measured(team, workers=workers)
+            measured(load_team(written(tmp_path)), workers=workers)
 
     def test_a_command_of_a_team_that_fails_says_what_it_warned_of(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
@@ -334,7 +337,7 @@ class TestSelect:
         assert all({"name", "rank", "share"} <= set(agent) for agent in found["agents"])
 
     def test_budgets_of_the_file_hold_unless_one_is_asked_for(self, tmp_path: Path) -> None:
-        team = load_team(written(tmp_path, "[tiles]\nsize = 8\n", each="budget = 2\nbytes = 100000\n"))
+        team = load_team(written(tmp_path, "[tiles]\nsize = [16, 12]\n", each="budget = 2\nbytes = 100000\n"))
         own = select_team(team, Budget(), workers=1)
         assert len(own.selection.chosen) == 4
         again = select_tiles(own.agents, Budget(tiles_per_agent={"racks": 2, "floor": 2}))
