@@ -13,7 +13,7 @@ from pathlib import Path
 import drjit as dr
 import numpy as np
 import pytest
-from small_scenes import camera, scene, wall
+from small_scenes import camera, scene, texture, wall
 
 from mitsuba_crb import pose_bound, processes
 from mitsuba_crb.noise import Gaussian
@@ -103,7 +103,8 @@ def test_the_number_of_threads_changes_no_bit(method: str) -> None:
     try:
         for threads in (1, 2, 5):
             dr.set_thread_count(threads)
-            bound = pose_bound(scene(wall=wall(depth=6.0), box=box), Gaussian(0.01), method=method, spp=16)
+            shown = scene(wall=wall(texture(), depth=6.0), box=box)
+            bound = pose_bound(shown, Gaussian(0.01), method=method, spp=16)
             found.append(bound.information.matrix)
     finally:
         dr.set_thread_count(before)

@@ -62,9 +62,9 @@ def test_the_precision_asked_for_is_reached_and_said() -> None:
 
 def test_it_is_the_default_and_uniform_sampling_is_as_it_was() -> None:
     assert MeasurementOptions().spp is None
-    own = pose_bound(lit(), SIGMA)
+    own = pose_bound(lit(32, 24), SIGMA)
     assert own.provenance["sampling"]["precision"] == PRECISION
-    asked = pose_bound(lit(), SIGMA, precision=PRECISION)
+    asked = pose_bound(lit(32, 24), SIGMA, precision=PRECISION)
     np.testing.assert_array_equal(own.information.matrix, asked.information.matrix)
     uniform = pose_bound(lit(), SIGMA, spp=16)
     assert "sampling" not in uniform.provenance
@@ -73,20 +73,20 @@ def test_it_is_the_default_and_uniform_sampling_is_as_it_was() -> None:
 
 
 def test_equal_calls_give_equal_bits_whatever_the_tiles() -> None:
-    one, two = (pose_bound(lit(), SIGMA, precision=0.04, seed=5) for _ in range(2))
+    one, two = (pose_bound(lit(32, 24), SIGMA, precision=0.06, seed=5) for _ in range(2))
     np.testing.assert_array_equal(one.information.matrix, two.information.matrix)
-    small = pose_bound(lit(), SIGMA, precision=0.04, seed=5, tile=16)
+    small = pose_bound(lit(32, 24), SIGMA, precision=0.06, seed=5, tile=8)
     for found in (one, small):  # the last digit depends on the order in which tiles are summed
         for each in found.provenance["sampling"]["rounds"]:
             each["precision"] = float(f"{each['precision']:.6g}")
     assert small.provenance["sampling"] == one.provenance["sampling"]
     assert misfit(one.information.matrix, small.information.matrix) < 1e-12
-    other = pose_bound(lit(), SIGMA, precision=0.04, seed=6)
+    other = pose_bound(lit(32, 24), SIGMA, precision=0.06, seed=6)
     assert misfit(one.information.matrix, other.information.matrix) > 1e-6
 
 
 def test_the_answer_has_no_path_of_the_rounds_that_decided_on_it() -> None:
-    with measurement(lit(), precision=0.04) as run:
+    with measurement(lit(32, 24), precision=0.06) as run:
         rounds = Rounds(run, SIGMA)
         final = rounds.decided()
         assert rounds.last is not None
@@ -168,8 +168,8 @@ def test_a_scene_that_no_number_of_paths_resolves_ends_with_limits() -> None:
 def test_it_goes_with_everything(options: dict[str, Any]) -> None:
     given = {"noise": SIGMA, **options}
     noise = given.pop("noise")
-    bound = pose_bound(lit(32, 24), noise, precision=0.08, **given)
-    many = pose_bound(lit(32, 24), noise, spp=1024, seed=9, **given)
+    bound = pose_bound(lit(32, 24), noise, precision=0.1, **given)
+    many = pose_bound(lit(32, 24), noise, spp=512, seed=9, **given)
     found, truth = (np.concatenate([b.position_std, b.rotation_std_deg]) for b in (bound, many))
     own = np.hypot(errors(bound), errors(many)) * truth
     assert (np.abs(found - truth) < 4.5 * own).all()
@@ -203,16 +203,16 @@ def test_an_interrupted_answer_is_that_of_the_round_before() -> None:
     def stop(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    bound = pose_bound(lit(), SIGMA, precision=0.04, on_tile=stop)
+    bound = pose_bound(lit(32, 24), SIGMA, precision=0.06, on_tile=stop)
     said = bound.provenance["sampling"]
     assert said["interrupted"]
-    with measurement(lit(), precision=0.04) as run:
+    with measurement(lit(32, 24), precision=0.06) as run:
         rounds = Rounds(run, SIGMA)
         rounds.decided()
         assert rounds.last is not None
         np.testing.assert_array_equal(bound.information.matrix, rounds.last.joint.fix().information.matrix)
     with pytest.raises(KeyboardInterrupt):  # nothing has been found yet
-        pose_bound(lit(), SIGMA, precision=0.04, on_progress=stop)
+        pose_bound(lit(32, 24), SIGMA, precision=0.06, on_progress=stop)
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ def test_flow_is_never_found_wrong_where_it_is_right_whatever_the_film(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The negative control counts contours twice, and lets no closure mend that."""
-    options: dict[str, Any] = {"spp": 1024, "batches": 8}
+    options: dict[str, Any] = {"spp": 512, "batches": 8}
     check = check_jacobian(board(name), **options)
     (row,) = check.rows
     assert row.method == "flow"
