@@ -248,6 +248,13 @@ def test_pictures_of_a_luminance_film_are_of_its_one_channel(tmp_path: Path) -> 
 PATH = '<integrator type="path"><integer name="max_depth" value="2"/></integrator>'
 
 
+@pytest.fixture(scope="module")
+def by_path(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
+    """The information that the path tracer finds."""
+    file = written(tmp_path_factory.mktemp("path"), sensor(film(16, 16)), PATH)
+    return np.asarray(information(file))
+
+
 @pytest.mark.parametrize(
     ("integrator", "words"),
     [
@@ -265,9 +272,8 @@ PATH = '<integrator type="path"><integer name="max_depth" value="2"/></integrato
     ],
 )
 def test_an_integrator_without_radiance_gives_way_to_a_path_tracer(
-    integrator: str, words: str | None, tmp_path: Path
+    integrator: str, words: str | None, by_path: np.ndarray, tmp_path: Path
 ) -> None:
-    expected = information(written(tmp_path, sensor(film(16, 16)), PATH))
     file = written(tmp_path, sensor(film(16, 16)), integrator)
     if words is None:
         found = information(file)
@@ -275,7 +281,7 @@ def test_an_integrator_without_radiance_gives_way_to_a_path_tracer(
         with pytest.warns(SceneWarning, match=words) as told:
             found = information(file)
         assert len(told) == 1
-    assert found == pytest.approx(expected, rel=1e-3, abs=1e-3 * expected.max())
+    assert found == pytest.approx(by_path, rel=1e-3, abs=1e-3 * by_path.max())
 
 
 def test_the_sensors_medium_is_not_passed_by_without_a_word(tmp_path: Path) -> None:
