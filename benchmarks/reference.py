@@ -28,8 +28,8 @@ from rich.table import Table
 
 from mitsuba_crb.errors import PrecisionWarning
 from mitsuba_crb.files import atomic
-from mitsuba_crb.information.accumulate import fisher_information
 from mitsuba_crb.information.fisher import FisherInformation
+from mitsuba_crb.information.image_information import fisher_information
 from mitsuba_crb.measure.measurement import measurement, versions
 from mitsuba_crb.noise import Gaussian
 

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from .bound.prior import PosePrior as PosePrior
     from .bound.prior import load_prior as load_prior
     from .estimate.trials import validate as validate
-    from .information.accumulate import fisher_information as fisher_information
     from .information.fisher import FisherInformation as FisherInformation
+    from .information.image_information import fisher_information as fisher_information
     from .information.image_jacobian import ImageJacobian as ImageJacobian
     from .information.joint import JointInformation as JointInformation
     from .information.joint import joint_information as joint_information
@@ -56,7 +56,7 @@ _HOME = {
     "to_coordinates": "bound.coordinates",
     "FisherInformation": "information.fisher",
     "ImageJacobian": "information.image_jacobian",
-    "fisher_information": "information.accumulate",
+    "fisher_information": "information.image_information",
     "JointInformation": "information.joint",
     "joint_information": "information.joint",
     "Linearisation": "information.linearisation",

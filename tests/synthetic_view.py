@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mitsuba_crb import se3
 from mitsuba_crb.bound.cramer_rao import PoseBound, cramer_rao_bound
-from mitsuba_crb.information.accumulate import fisher_information
+from mitsuba_crb.information.image_information import fisher_information
 from mitsuba_crb.information.image_jacobian import ImageJacobian
 from mitsuba_crb.information.linearisation import Linearisation, PixelSelection
 from mitsuba_crb.noise import Gaussian

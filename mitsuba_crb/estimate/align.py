@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..bound.cramer_rao import PoseBound, cramer_rao_bound
 from ..errors import AlignmentError, NoiseError, PrecisionWarning
 from ..files import Record
-from ..information.accumulate import as_noise_model
+from ..information.image_information import as_noise_model
 from ..measure.measurement import measurement
 from ..measure.mitsuba_view import wanted
 from ..measure.options import MeasurementKeywords, MeasurementOptions

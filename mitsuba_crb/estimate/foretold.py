@@ -15,7 +15,7 @@ import numpy as np
 
 from .. import se3
 from ..errors import TrialError
-from ..information.accumulate import fisher_information
+from ..information.image_information import fisher_information
 from ..measure.measurement import measurement
 from ..measure.options import MeasurementKeywords, MeasurementOptions
 from ..noise import Gaussian

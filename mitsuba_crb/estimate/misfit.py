@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from .. import se3
 from ..errors import AlignmentError, OutOfViewError
-from ..information.accumulate import fisher_information
 from ..information.fisher import FisherInformation
+from ..information.image_information import fisher_information
 from ..information.image_jacobian import ImageJacobian
 from ..information.subset import selected
 from ..jacobian.method import Paths

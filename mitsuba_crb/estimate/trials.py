@@ -27,7 +27,7 @@ from ..bound.consistency import Consistency, consistency
 from ..bound.cramer_rao import PoseBound, cramer_rao_bound
 from ..errors import PrecisionWarning, TrialError
 from ..files import Record
-from ..information.accumulate import fisher_information
+from ..information.image_information import fisher_information
 from ..information.image_jacobian import ImageJacobian
 from ..information.symmetric import unpack
 from ..measure.mitsuba_view import wanted

@@ -14,21 +14,19 @@ square of its sum. Conventions: `se3`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from dataclasses import replace as dataclass_replace
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import NoiseError, OptionError, PixelsError, RadianceError
-from ..noise import CoupledNoise, NoiseModel
+from ..noise import CoupledNoise
 from ..se3 import Array
 from .block_variance import BlockProducts
 from .blocks import in_squares
 from .coupled import CoupledComponents, mean_of_ordered, ordered_products
 from .fisher import FisherInformation
-from .image_jacobian import ImageJacobian
 from .linearisation import Linearisation, PixelSelection
 from .sampled import SampledComponents
 from .symmetric import congruence, entries, symmetrised, unpack
@@ -326,98 +324,3 @@ def _biased(values: Array, root: Array, bias: Array) -> Array:
     whitened = whiten(values[:, rows] * np.sqrt(bias[rows])[:, None, None], root[rows])
     products = unit_products(unit_grams(whitened, np.array([0, len(rows)])), len(values))
     return np.asarray(products.mean(axis=0)[:, 0])
-
-
-class Accumulator(Protocol):
-    """What sums up the information of pixels: of a pose alone, or jointly with nuisance parameters."""
-
-    def add(
-        self,
-        batch_values: ArrayLike,
-        weights: ArrayLike,
-        pixels: ArrayLike,
-        bias: NDArray[np.float64] | None = None,
-    ) -> None:
-        """See `InformationAccumulator.add`."""
-
-    def add_coupled(
-        self,
-        batch_values: ArrayLike,
-        noise: CoupledNoise,
-        pixels: ArrayLike,
-        bias: NDArray[np.float64] | None = None,
-    ) -> None:
-        """See `InformationAccumulator.add_coupled`."""
-
-
-def sum_image(
-    accumulator: Accumulator, jacobian: ImageJacobian, noise: NoiseModel, mean: ArrayLike | None = None
-) -> None:
-    """Add a whole Jacobian under a noise model of either kind.
-
-    Args:
-        accumulator: of as many columns, and made for coupled pixels if the noise's are.
-        jacobian: of the whole image, or of the selected pixels.
-        noise: independent or correlated between pixels.
-        mean: (H, W, C) noise-free image for models that depend on it, rendered with other random numbers than
-            the Jacobian; by default the Jacobian's pilot. A Jacobian without one should have an image free of
-            errors: those that its derivatives share can make the information several times too large.
-
-    Raises:
-        NoiseError: the noise model does not fit the image.
-        RadianceError: the Jacobian is not finite somewhere.
-    """
-    noise.check(*jacobian.image.shape)
-    if isinstance(noise, CoupledNoise):
-        accumulator.add_coupled(jacobian.batch_values, noise, jacobian.pixels, jacobian.bias)
-        return
-    if mean is not None:
-        jacobian = dataclass_replace(jacobian, pilot=np.asarray(mean, dtype=np.float64))
-    if jacobian.pilot is not None and jacobian.pilot.shape != jacobian.image.shape:
-        raise NoiseError(
-            f"the mean has shape {jacobian.pilot.shape}, but the image is {jacobian.image.shape}"
-        )
-    weights = noise.weights(jacobian.pixels, jacobian.expected)
-    accumulator.add(jacobian.batch_values, weights, jacobian.pixels, jacobian.bias)
-
-
-def as_noise_model(noise: object) -> NoiseModel:
-    """The object itself, if it has what a noise model must have.
-
-    Raises:
-        NoiseError: it has not.
-    """
-    if not isinstance(noise, NoiseModel):
-        raise NoiseError(f"expected a noise model such as noise.Gaussian(0.01), not {noise!r}")
-    return noise
-
-
-def fisher_information(
-    jacobian: ImageJacobian, noise: NoiseModel, mean: ArrayLike | None = None
-) -> FisherInformation:
-    """The Fisher information F = JᵀΣ⁻¹J of the pose, estimated without bias, in the Jacobian's frame.
-
-    Args:
-        jacobian: the image's derivative.
-        noise: noise model of the measured image.
-        mean: see `sum_image`.
-
-    Raises:
-        NoiseError: the noise model does not fit the image.
-        RadianceError: the Jacobian is not finite somewhere.
-        OptionError: the Jacobian has columns of nuisance parameters, see `joint.joint_information`.
-    """
-    if jacobian.parameters:
-        raise OptionError(
-            f"the Jacobian has columns of nuisance parameters ({', '.join(jacobian.parameters)}): use "
-            "joint_information, which can marginalize them"
-        )
-    camera = jacobian.to_frame("camera")
-    accumulator = InformationAccumulator(
-        batches=len(camera.batch_values),
-        block=camera.block,
-        sampled=camera.selection.kind == "random",
-        coupled=as_noise_model(noise).couples_pixels,
-    )
-    sum_image(accumulator, camera, noise, mean)
-    return accumulator.information(camera.linearisation).to_frame(jacobian.frame)

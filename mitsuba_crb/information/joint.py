@@ -33,11 +33,12 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import FrameError, NuisanceError, OptionError, PixelsError
 from ..noise import CoupledNoise, NoiseModel
 from ..se3 import Array
-from .accumulate import InformationAccumulator, Sums, as_noise_model, sum_image
+from .accumulate import InformationAccumulator, Sums
 from .block_variance import BlockProducts
 from .blocks import BLOCK
 from .fisher import FisherInformation
 from .identifiability import FLOAT32_FLOOR
+from .image_information import as_noise_model, sum_image
 from .image_jacobian import ImageJacobian
 from .linearisation import Linearisation, Linearised
 

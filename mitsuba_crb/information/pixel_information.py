@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import NoiseError, OptionError
 from ..noise import CoupledNoise, NoiseModel
 from ..se3 import Array
-from .accumulate import fisher_information
+from .image_information import fisher_information
 from .image_jacobian import ImageJacobian
 from .symmetric import pack
 from .ustatistic import pixel_products, square_root, whiten

@@ -35,8 +35,8 @@ from numpy.typing import NDArray
 
 from ..errors import OptionError
 from ..files import Record
-from ..information.accumulate import fisher_information
 from ..information.fisher import FisherInformation
+from ..information.image_information import fisher_information
 from ..information.image_jacobian import ImageJacobian
 from ..information.joint import joint_information
 from ..information.symmetric import triangle

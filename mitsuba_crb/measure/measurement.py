@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from ..errors import BlindSpotWarning, NoiseError, OptionError, PrecisionWarning, RadianceError
 from ..information import subset
-from ..information.accumulate import Accumulator, as_noise_model
 from ..information.block_variance import BlockProducts
 from ..information.fisher import FisherInformation
+from ..information.image_information import Accumulator, as_noise_model
 from ..information.image_jacobian import ImageJacobian
 from ..information.joint import JointAccumulator, JointInformation, tile_side
 from ..information.linearisation import Linearisation, PixelSelection

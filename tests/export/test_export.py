@@ -18,7 +18,7 @@ from mitsuba_crb.export.documents import atomic, bound_document, write_json
 from mitsuba_crb.export.exr import COLUMN_NAMES, write_exr
 from mitsuba_crb.export.targets import check_target
 from mitsuba_crb.files import jsonable
-from mitsuba_crb.information.accumulate import fisher_information
+from mitsuba_crb.information.image_information import fisher_information
 from mitsuba_crb.information.pixel_information import information_share
 from mitsuba_crb.measure.pictures import Gathering, pictures_of
 from mitsuba_crb.noise import Gaussian, PoissonGaussian

@@ -17,8 +17,9 @@ from rigs import about, made
 
 from mitsuba_crb import noise, se3
 from mitsuba_crb.errors import FrameError, NoiseError, OptionError, PixelsError, RadianceError
-from mitsuba_crb.information.accumulate import InformationAccumulator, fisher_information
+from mitsuba_crb.information.accumulate import InformationAccumulator
 from mitsuba_crb.information.blocks import BLOCK, in_squares
+from mitsuba_crb.information.image_information import fisher_information
 from mitsuba_crb.information.image_jacobian import ImageJacobian
 from mitsuba_crb.information.linearisation import PixelSelection
 from mitsuba_crb.information.symmetric import congruence, pack, positive_part, triangle, unpack

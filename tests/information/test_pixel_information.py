@@ -9,7 +9,7 @@ import pytest
 import synthetic_view
 
 from mitsuba_crb.errors import OptionError
-from mitsuba_crb.information.accumulate import fisher_information
+from mitsuba_crb.information.image_information import fisher_information
 from mitsuba_crb.information.pixel_information import along, information_share, pixel_information
 from mitsuba_crb.information.symmetric import unpack
 from mitsuba_crb.noise import Gaussian, PerPixel

@@ -13,7 +13,7 @@ from small_scenes import T, camera, scene, texture, textured_wall, wall
 
 from mitsuba_crb import hcr_bound, pose_bound, pose_jacobian
 from mitsuba_crb.errors import NoiseError, OptionError
-from mitsuba_crb.information.accumulate import fisher_information
+from mitsuba_crb.information.image_information import fisher_information
 from mitsuba_crb.measure.exposure import exposed
 from mitsuba_crb.noise import Clipped, Gaussian
 from mitsuba_crb.render.pixels import render_pixels
