@@ -28,7 +28,7 @@ from ..information.joint import JointInformation
 from ..information.resolution import Verdict, paths_to_decide, upper_limits
 from ..noise.covariance import positive_matrix
 from ..se3 import Array, Frame
-from .criteria import LAMBDA_MIN, KieferMean, LogDet
+from .criteria import Optimality
 from .inverse import Inverse
 from .prior import PosePrior
 
@@ -45,22 +45,6 @@ AXES = (*(f"position {axis}" for axis in _POSITION_NAMES), *_ROTATION_NAMES)
 
 # Rows are linear functionals of the scaled camera-frame twist.
 TURN = np.degrees(np.hstack([np.zeros((3, 3)), np.eye(3)]))
-
-
-@dataclass(frozen=True)
-class Optimality:
-    """Scalars of the information F in the camera frame, translation in units of the length scale.
-
-    The larger log det F and λ_min, and the smaller tr F⁻¹, the better; Pukelsheim, "Optimal Design of
-    Experiments", 2006, section 6.
-    """
-
-    log_det: float
-    """D-optimality, log det F; minus infinity where a direction is unseen."""
-    trace_inverse: float
-    """A-optimality, tr F⁻¹ [rad² or length scale²]; infinite where a direction is unseen."""
-    smallest_eigenvalue: float
-    """E-optimality, λ_min; zero where a direction is unseen."""
 
 
 Verdicts = tuple[Verdict, Verdict, Verdict]
@@ -150,12 +134,7 @@ class PoseBound(Record):
         """The classical scalars of the information, the prior included."""
         if self.unobserved:
             return Optimality(-np.inf, np.inf, 0.0)
-        F = self.inverse.precision
-        return Optimality(
-            log_det=float(LogDet().value(F)),
-            trace_inverse=float(6.0 / KieferMean(1.0).value(F)),
-            smallest_eigenvalue=float(LAMBDA_MIN.value(F)),
-        )
+        return Optimality.of(self.inverse.precision)
 
     def ellipsoid(self, which: Literal["position", "rotation"], sigma: float = 1.0) -> tuple[Array, Array]:
         """The uncertainty ellipsoid of position [scene unit, world axes] or rotation [deg, camera axes].

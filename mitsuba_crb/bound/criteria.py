@@ -146,3 +146,27 @@ OBJECTIVES: dict[str, LogDet | Trace | KieferMean] = {
     "lambda_min": LAMBDA_MIN,
 }
 """The criteria that a selection may maximise, by the names that the command line uses."""
+
+
+@dataclass(frozen=True)
+class Optimality:
+    """Scalars of the information F in the camera frame, translation in units of the length scale.
+
+    The larger log det F and λ_min, and the smaller tr F⁻¹, the better.
+    """
+
+    log_det: float
+    """D-optimality, log det F; minus infinity where a direction is unseen."""
+    trace_inverse: float
+    """A-optimality, tr F⁻¹ [rad² or length scale²]; infinite where a direction is unseen."""
+    smallest_eigenvalue: float
+    """E-optimality, λ_min; zero where a direction is unseen."""
+
+    @classmethod
+    def of(cls, precision: Array) -> Optimality:
+        """Those of F (6, 6), positive definite."""
+        return cls(
+            log_det=float(LogDet().value(precision)),
+            trace_inverse=float(6.0 / KieferMean(1.0).value(precision)),
+            smallest_eigenvalue=float(LAMBDA_MIN.value(precision)),
+        )

@@ -235,9 +235,8 @@ def test_views_seeds_subsets_and_sizes_are_what_tracing_gives(
     calls: list[str] = []
     monkeypatch.setattr(Recorder, "ready", _counting(Recorder.ready, calls))
     again = [ours(which, **options) for options in several]
-    assert len(calls) < tracings * len(
-        several
-    )  # the lens, hidden emitters and what nuisances move are traced
+    # The lens, hidden emitters and what nuisances move are traced.
+    assert len(calls) < tracings * len(several)
     for options, first, second in zip(several, found, again, strict=True):
         expected = traced(which, **options)
         assert np.array_equal(first, expected), options
