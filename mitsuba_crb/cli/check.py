@@ -50,9 +50,10 @@ def check(
     variant: Variant = None,
     debug: Debug = False,
 ) -> int:
-    """Compare a method with finite differences on this scene, with as many paths as it takes to tell.
+    """Compare a method with finite differences on this scene.
 
-    Exit code 0 if they agree, 1 if they disagree, 3 if this many paths cannot tell.
+    By as many paths as it takes to tell. Exit code 0 if they agree, 1 if they disagree, 3 if those that are
+    allowed cannot tell.
     """
     with foreseen(debug, variant):
         from .arguments import parse_defines, view_options
