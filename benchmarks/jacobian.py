@@ -303,7 +303,7 @@ def pixels(largest: int) -> list[dict[str, Any]]:
     """Cost against the image's size."""
     scene = opened("textured_wall", 64)
     sizes = [n for n in (64, 128, 256, 512, 1024, 2048) if n <= largest]
-    calls: list[Callable[[], object]] = [lambda n=n: pose_bound(scene, size=(n, n)) for n in sizes]
+    calls: list[Callable[[], object]] = [lambda n=n: pose_bound(scene, size=(n, n), spp=64) for n in sizes]
     return scaling("pose_bound of textured_wall against pixels", [n * n for n in sizes], calls)
 
 
@@ -312,7 +312,7 @@ def subset(size: int) -> list[dict[str, Any]]:
     scene = opened("textured_wall", 64)
     shares = [0.01, 0.03, 0.1, 0.3, 1.0]
     calls: list[Callable[[], object]] = [
-        lambda s=s: pose_bound(scene, size=(size, size), pixels=f"random:{s}") for s in shares
+        lambda s=s: pose_bound(scene, size=(size, size), spp=64, pixels=f"random:{s}") for s in shares
     ]
     return scaling(f"random:s of {size}x{size}", [round(s * size * size) for s in shares], calls)
 
