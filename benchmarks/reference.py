@@ -30,7 +30,8 @@ from mitsuba_crb.errors import PrecisionWarning
 from mitsuba_crb.files import atomic
 from mitsuba_crb.information.fisher import FisherInformation
 from mitsuba_crb.information.image_information import fisher_information
-from mitsuba_crb.measure.measurement import measurement, versions
+from mitsuba_crb.measure.measurement import measurement
+from mitsuba_crb.measure.versions import versions
 from mitsuba_crb.noise import Gaussian
 
 TESTS = Path(__file__).parents[1] / "tests"

@@ -8,13 +8,14 @@ one can be prepared, and those before summed up, while its light paths are trace
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from .film_flow import FilmFlow
 
@@ -48,6 +49,10 @@ class Paths:
     """Of all random numbers."""
     batches: int
     """Independent estimates."""
+
+
+Part = tuple[Pixels, Paths]
+"""Pixels (n, 2) of a tile, and the paths of each of them."""
 
 
 class Tile(Protocol):
@@ -153,3 +158,24 @@ def estimates(method: Method, pixels: Pixels, paths: Paths) -> Estimates:
     settled = tile.settle()
     settled.wait()
     return settled.result()
+
+
+def tile_by_tile(method: Method, parts: Sequence[Part]) -> Iterator[tuple[Part, Estimates]]:
+    """Each tile's pixels with their paths, and what the method says of them.
+
+    One tile is prepared, and the two before it summed up, while paths are traced.
+    """
+    running: tuple[Part, Tile] | None = None
+    settled: tuple[Part, SettledTile] | None = None
+    for part in chain(parts, (None, None)):
+        tile = None if part is None else method.prepare(*part)
+        # To look at arrays is to wait for all that was launched, so before the next tile is.
+        for earlier in (running, settled):
+            if earlier is not None:
+                earlier[1].wait()
+        if tile is not None:
+            tile.launch()
+        if settled is not None:
+            yield settled[0], settled[1].result()
+        settled = None if running is None else (running[0], running[1].settle())
+        running = None if part is None or tile is None else (part, tile)

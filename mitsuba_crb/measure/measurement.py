@@ -1,21 +1,19 @@
 """An opened view and how it is measured: choose pixels, stream tiles, sum up.
 
-Pixels are visited tile by tile; each tile's Jacobian is folded into the information and forgotten, so that
-memory does not grow with the image. Everything decided before the Jacobian (length scale, white,
-gradient-rich pixels) comes from pilot renders with random numbers of their own, the same for all batches:
-batches that lent each other anything would bias the information (design 4.1).
+Pixels are visited tile by tile; each tile's Jacobian is folded into the information and forgotten: what is
+kept of a pixel is some ten bytes of what its block contributed. Everything decided before the Jacobian
+(length scale, white, gradient-rich pixels) comes from pilot renders with random numbers of their own, the
+same for all batches: batches that lent each other anything would bias the information (design 4.1).
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
-import importlib.metadata
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
-from functools import cache, cached_property
-from itertools import chain
+from functools import cached_property
 from typing import Any, Unpack
 
 import numpy as np
@@ -29,10 +27,8 @@ from ..information.image_information import Accumulator, as_noise_model
 from ..information.image_jacobian import ImageJacobian
 from ..information.joint import JointAccumulator, JointInformation, tile_side
 from ..information.linearisation import Linearisation, PixelSelection
-from ..jacobian.method import Estimates, Method, Paths, SettledTile, Tile
+from ..jacobian.method import Method, Paths, tile_by_tile
 from ..noise import CoupledNoise, IndependentNoise, Luminance, NoiseModel
-from ..render import llvm
-from ..render.backend import use_mitsuba
 from .differences import Differences
 from .expected import PILOT_SPP, ExpectedImage, whole_pilot
 from .exposure import Exposure, Saturation, exposed, start_metering
@@ -42,9 +38,7 @@ from .nuisances import Nuisance, name_parameters, nuisance_columns
 from .options import MeasurementKeywords, MeasurementOptions
 from .plan import Plan
 from .tile_jacobian import TileJacobian
-
-Part = tuple[NDArray[np.int64], Paths]
-"""Pixels (n, 2) of a tile, and the paths of each of them."""
+from .versions import versions
 
 
 @dataclasses.dataclass(frozen=True)
@@ -326,7 +320,7 @@ class Measurement:
         total = sum(int(mask.sum()) * (paths.spp // least) for paths, mask in efforts)
         done, measured, invalid = 0, 0, 0
         parts = [(pixels, paths) for paths, mask in efforts for pixels in subset.tiles(mask, self.tile)]
-        for (pixels, paths), (columns, images, image, causes, step_bias) in self._in_turn(parts):
+        for (pixels, paths), (columns, images, image, causes, step_bias) in tile_by_tile(self.method, parts):
             values, film = columns[..., :6], columns[..., 6:]
             others = None
             if self.nuisances:
@@ -354,26 +348,6 @@ class Measurement:
             yield self.paths, self.mask
         else:
             yield from self.plan.efforts(self.mask, self.options.batches)
-
-    def _in_turn(self, parts: Sequence[Part]) -> Iterator[tuple[Part, Estimates]]:
-        """Each tile's pixels with their paths, and what the method says of them.
-
-        One tile is prepared, and the two before it summed up, while paths are traced.
-        """
-        running: tuple[Part, Tile] | None = None
-        settled: tuple[Part, SettledTile] | None = None
-        for part in chain(parts, (None, None)):
-            tile = None if part is None else self.method.prepare(*part)
-            # To look at arrays is to wait for all that was launched, so before the next tile is.
-            for earlier in (running, settled):
-                if earlier is not None:
-                    earlier[1].wait()
-            if tile is not None:
-                tile.launch()
-            if settled is not None:
-                yield settled[0], settled[1].result()
-            settled = None if running is None else (running[0], running[1].settle())
-            running = None if part is None or tile is None else (part, tile)
 
 
 @contextlib.contextmanager
@@ -414,15 +388,3 @@ def method_of(view: Measurable, name: str) -> type[Method]:
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise OptionError(f"unknown method {name!r}; {hint}methods: {', '.join(view.methods)}")
     return view.methods[name]
-
-
-def versions() -> dict[str, str]:
-    """Versions of everything that the numbers depend on, and Mitsuba's variant."""
-    return dict(_versions(use_mitsuba()))
-
-
-@cache
-def _versions(variant: str) -> Mapping[str, str]:
-    packages = ("mitsuba_crb", "mitsuba", "drjit", "numpy", "scipy")
-    found = {name: importlib.metadata.version(name) for name in packages}
-    return {**found, "variant": variant, **({"llvm": llvm.configure().version} if "llvm" in variant else {})}

@@ -29,7 +29,8 @@ from mitsuba_crb.information.linearisation import PixelSelection
 from mitsuba_crb.information.subset import tiles
 from mitsuba_crb.jacobian.finite_difference import steps_of
 from mitsuba_crb.jacobian.lint import precision_findings
-from mitsuba_crb.measure.measurement import measurement, versions
+from mitsuba_crb.measure.measurement import measurement
+from mitsuba_crb.measure.versions import versions
 from mitsuba_crb.noise import (
     SRGB,
     ColourBlocks,

@@ -9,7 +9,7 @@ import mitsuba as mi
 import pytest
 
 from mitsuba_crb import errors
-from mitsuba_crb.measure.measurement import versions
+from mitsuba_crb.measure.versions import versions
 from mitsuba_crb.processes import in_processes
 from mitsuba_crb.render import backend, llvm
 
