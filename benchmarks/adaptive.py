@@ -58,12 +58,6 @@ def deviations(bound: Any) -> np.ndarray:
     return np.concatenate([bound.position_std, bound.rotation_std_deg])
 
 
-def errors(bound: Any) -> np.ndarray:
-    """(6,) relative standard errors."""
-    both = np.concatenate([bound.position_std_standard_error, bound.rotation_std_deg_standard_error])
-    return np.asarray(both / deviations(bound))
-
-
 def paths(bound: Any) -> float:
     """Per pixel, of all rounds."""
     width, height = bound.provenance["size"]
@@ -115,15 +109,14 @@ def times(scene: Path) -> dict[str, Any]:
     except MitsubaCRBError as error:
         return {"part": "times", "scene": scene.parent.name, "refused": str(error)}
     width, height = bound.provenance["size"]
-    verdicts = [*bound.position_verdict, *bound.rotation_verdict]
     return {
         "part": "times",
         "scene": scene.parent.name,
         "pixels": f"{width}x{height}",
         "seconds": time.perf_counter() - start,
         "spp": paths(bound),
-        "error": float(np.nanmax(errors(bound), initial=0.0)),
-        **{name: verdicts.count(name) for name in ("seen", "unseen", "not resolved")},
+        "error": float(np.nanmax(bound.relative_standard_error, initial=0.0)),
+        **{name: bound.verdicts.count(name) for name in ("seen", "unseen", "not resolved")},
     }
 
 
@@ -179,7 +172,7 @@ def figure() -> None:
         for options in runs:
             pose_bound(scene, size=size, **options)  # compiled, loaded
             bound = pose_bound(scene, size=size, **options)
-            points.append((bound.provenance["seconds"]["total"], 100 * errors(bound).max()))
+            points.append((bound.provenance["seconds"]["total"], 100 * bound.relative_standard_error.max()))
         axes[2].loglog(*np.transpose(points), style, label=label)
     axes[2].set_xlabel("time [s]")
     axes[2].set_ylabel("largest standard error [%]")

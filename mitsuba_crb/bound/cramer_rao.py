@@ -130,6 +130,18 @@ class PoseBound(Record):
         )
 
     @property
+    def relative_standard_error(self) -> Array:
+        """(6,), of position and rotation, over the standard deviations; `nan` where they are infinite."""
+        errors = np.concatenate([self.position_std_standard_error, self.rotation_std_deg_standard_error])
+        relative: Array = errors / np.concatenate([self.position_std, self.rotation_std_deg])
+        return relative
+
+    @property
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """Of position and rotation, six."""
+        return (*self.position_verdict, *self.rotation_verdict)
+
+    @property
     def optimality(self) -> Optimality:
         """The classical scalars of the information, the prior included."""
         if self.unobserved:
@@ -164,8 +176,7 @@ class PoseBound(Record):
     @property
     def not_resolved(self) -> str | None:
         """What too few paths leave open, and how many would decide, in words; None if that is nothing."""
-        verdicts = (*self.position_verdict, *self.rotation_verdict)
-        axes = [axis for axis, verdict in zip(AXES, verdicts, strict=True) if verdict == "not resolved"]
+        axes = [axis for axis, verdict in zip(AXES, self.verdicts, strict=True) if verdict == "not resolved"]
         unresolved = [u for u in self.unobserved if u.verdict == "not resolved"]
         if not (axes or unresolved):
             return None
@@ -350,8 +361,7 @@ def _unobserved(inverse: Inverse) -> tuple[UnobservedDirection, ...]:
 
 
 def _warn_of_imprecision(bound: PoseBound) -> None:
-    errors = np.concatenate([bound.position_std_standard_error, bound.rotation_std_deg_standard_error])
-    relative = np.nan_to_num(errors / np.concatenate([bound.position_std, bound.rotation_std_deg]))
+    relative = np.nan_to_num(bound.relative_standard_error)
     worst = int(np.argmax(relative))
     if relative[worst] > LARGEST_RELATIVE_ERROR:
         name = AXES[worst]

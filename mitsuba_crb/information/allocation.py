@@ -108,8 +108,8 @@ class Needs:
         return np.asarray((self.linear / n + self.degenerate / n**2).sum(axis=(1, 2)))
 
 
-def allocate(needs: Needs, least: int, most: float) -> tuple[NDArray[np.int64], bool]:
-    """Paths per pixel of each cell, and whether they are expected to reach the goal.
+def allocate(needs: Needs, least: int, most: float) -> NDArray[np.int64]:
+    """Paths per pixel of each cell, (rows, columns), to reach the goal or to spend what may be spent.
 
     Args:
         needs: of each cell, `smoothed`.
@@ -138,8 +138,7 @@ def allocate(needs: Needs, least: int, most: float) -> tuple[NDArray[np.int64], 
         reached = needs.variance(spp) / np.maximum(aim, _TINY)
         found.append((max(float(reached.max()), 1.0), float(np.sum(work * spp)), spp))
         weights *= np.clip(reached / max(float(reached.max()), _TINY), 0.05, 1.0) ** 0.5
-    best = min(found, key=lambda each: each[:2])[2]
-    return best, bool((needs.variance(best) <= needs.goal).all())
+    return min(found, key=lambda each: each[:2])[2]
 
 
 def _density(needs: Needs, weights: Array, spp: NDArray[np.int64]) -> Array:

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from ..information.blocks import BLOCK
 from ..render.paths import IntegratorTracer, PathTracer, White, tracer
-from ..render.random import EVEN, EvenNumbers, lane_sampler, seeding
+from ..render.random import EVEN, EvenNumbers, derived_seed, lane_sampler, seeding
 from ..render.rays import Lanes, camera_ray, first_hits, opaque_transform
 from ..render.recorded import join, split
 from . import finite_difference
@@ -260,7 +260,7 @@ class SettledFlow:
         self._again = np.flatnonzero(suspect)
         if not len(self._again):
             return
-        seed = int(np.random.SeedSequence([paths.seed, CLOSURE]).generate_state(1, np.uint64)[0])
+        seed = derived_seed(paths.seed, CLOSURE)
         again = Paths(BATCHES * max(PATHS, paths.spp // paths.batches), seed, BATCHES)
         white = replace(method.prepared, tracer=White(), view_term=None, film_flows=())
         own = pixels[self._again]

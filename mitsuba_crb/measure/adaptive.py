@@ -26,9 +26,10 @@ from ..information.block_variance import BlockProducts
 from ..information.blocks import BLOCK
 from ..information.joint import JointInformation, tile_side
 from ..noise import NoiseModel
+from ..render.random import derived_seed
 from ..se3 import Array
 from .measurement import Measurement
-from .options import MAX_PATHS, PRECISION
+from .options import MAX_PATHS
 from .plan import Plan
 
 ROUND = 0x524F554E
@@ -80,10 +81,8 @@ class Answer:
         """
         vectors, values = sensitivities(self.joint, bound)
         rare = self.products.variance(vectors, values).rare
-        verdicts = (*bound.position_verdict, *bound.rotation_verdict)
-        return [
-            axis for axis, verdict, few in zip(AXES, verdicts, rare, strict=True) if verdict == "seen" and few
-        ]
+        found = zip(AXES, bound.verdicts, rare, strict=True)
+        return [axis for axis, verdict, few in found if verdict == "seen" and few]
 
     @property
     def provenance(self) -> dict[str, Any]:
@@ -92,10 +91,9 @@ class Answer:
         if plan is None:
             return {}
         spp = plan.of_pixels(self.run.mask)[self.run.mask]
-        options = self.run.options
         return {
             "sampling": {
-                "precision": options.precision or PRECISION,
+                "precision": self.run.options.goal,
                 "rounds": [dataclasses.asdict(each) for each in self.rounds],
                 "spp": {"least": int(spp.min()), "mean": float(spp.mean()), "most": int(spp.max())},
                 "paths": sum(each.paths for each in self.rounds) + int(spp.sum()),
@@ -147,7 +145,7 @@ class Rounds:
             return self._run
         plan = self._planned(np.full(self._pixels.shape, self._least, dtype=np.int64))
         # A pilot and an answer of the same size must fit: else the pilot is the answer.
-        final = self._budget < 2.0 * self._cost(plan)
+        final = self._budget < 2.0 * self._cost(plan.spp)
         while not final:
             run = self._run.planned(plan, final=False)
             self.last = Answer(run, *run.summed(self._noise), tuple(self.done))
@@ -157,17 +155,17 @@ class Rounds:
     def _decide(self, found: Answer, plan: Plan) -> tuple[Plan, bool]:
         """What comes after a round, and whether it is the last."""
         self._seen.append((found.products, plan.spp))
-        cost = self._cost(plan)
+        cost = self._cost(plan.spp)
         spent = cost + sum(each.paths for each in self.done)
         left = self._budget - spent
         bound = self._bound(found.joint)
         needs, hidden = self._needs(found, bound)
-        spp, _ = allocate(needs, self._least, left)
+        spp = allocate(needs, self._least, left)
         if bound.rank < 6 and any(each.hidden for each in self.done):
             # What it took to come out of the noise: with less, the answer would not say what is known.
             enough = np.maximum(spp, _AGAIN * plan.spp)
-            spp = enough if np.sum(self._pixels * enough) <= left else self._in_between(needs, left)
-        needed = float(np.sum(self._pixels * spp))
+            spp = enough if self._cost(enough) <= left else self._in_between(needs, left)
+        needed = self._cost(spp)
         between = _EXPLORING * spent if hidden.any() else _BETWEEN * needed
         final = not hidden.any() and needed <= _FAR * spent
         if not final:
@@ -175,23 +173,22 @@ class Rounds:
             final = left < 2.0 * between
             if hidden.any() or not final:
                 spp = self._in_between(needs, left if final else between)
-        self.done.append(Round(cost, _precision(bound), int(hidden.sum()), int(np.sum(self._pixels * spp))))
+        self.done.append(Round(cost, _precision(bound), int(hidden.sum()), self._cost(spp)))
         if self._run.options.on_round is not None:
             self._run.options.on_round(self.done[-1])
         return self._planned(spp), final
 
     def _planned(self, spp: NDArray[np.int64]) -> Plan:
         """A plan with random numbers that no round before it had."""
-        entropy = [self._run.options.seed, ROUND, len(self.done) + 1]
-        seed = int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0])
+        seed = derived_seed(self._run.options.seed, ROUND, len(self.done) + 1)
         return Plan(spp, self._side, seed, before=sum(each.paths for each in self.done))
 
-    def _cost(self, plan: Plan) -> int:
-        return int(np.sum(self._pixels * plan.spp))
+    def _cost(self, spp: NDArray[np.int64]) -> int:
+        return int(np.sum(self._pixels * spp))
 
     def _in_between(self, needs: Needs, paths: float) -> NDArray[np.int64]:
         """So many paths, where they tell most of what the next round needs."""
-        return allocate(dataclasses.replace(needs, goal=1e-6 * needs.goal), self._least, paths)[0]
+        return allocate(dataclasses.replace(needs, goal=1e-6 * needs.goal), self._least, paths)
 
     def _bound(self, joint: JointInformation) -> PoseBound:
         with warnings.catch_warnings():
@@ -210,10 +207,10 @@ class Rounds:
         fixed = np.square(np.einsum("mi,ij,mj->m", pose, joint.bias, pose) / (2.0 * values))
         if sampled:
             own = np.sum(rounds[-1][0].total, axis=1)
-            fixed += np.maximum(np.nan_to_num(np.square(_relative_errors(bound))) - own, 0.0)
-        precision = self._run.options.precision or PRECISION
+            fixed += np.maximum(np.nan_to_num(np.square(bound.relative_standard_error)) - own, 0.0)
+        precision = self._run.options.goal
         goal = np.maximum(precision**2 - fixed, _SMALL * fixed)
-        verdicts = np.array([*bound.position_verdict, *bound.rotation_verdict])
+        verdicts = np.array(bound.verdicts)
         goal[verdicts == "unseen"] = np.inf
         needs = Needs.of(rounds, self._side, self._pixels, goal)
         # What the image may tell below its noise, where a prior makes the number finite without it.
@@ -229,12 +226,6 @@ def sensitivities(joint: JointInformation, bound: PoseBound) -> tuple[Array, Arr
     return vectors @ joint.marginalize().elimination.T, values
 
 
-def _relative_errors(bound: PoseBound) -> NDArray[np.float64]:
-    """(6,), NaN where the bound is infinite."""
-    errors = np.concatenate([bound.position_std_standard_error, bound.rotation_std_deg_standard_error])
-    return np.asarray(errors / np.concatenate([bound.position_std, bound.rotation_std_deg]))
-
-
 def _precision(bound: PoseBound) -> float:
-    errors = _relative_errors(bound)
+    errors = bound.relative_standard_error
     return float(np.nanmax(errors)) if np.isfinite(errors).any() else float("inf")

@@ -43,6 +43,7 @@ from ..information.symmetric import triangle
 from ..jacobian.finite_difference import edge_misfit, order_of, step_for, steps_of
 from ..jacobian.methods import METHODS, REFERENCE
 from ..noise import Gaussian
+from ..render.random import derived_seed
 from ..render.scene import as_scene
 from .measurement import measurement
 from .mitsuba_view import open_measurable, wanted
@@ -192,8 +193,8 @@ def check_jacobian(
     most = max(_FEWEST_MOST, _MOST // int(fixed["pixels"].sum())) if given.max_spp is None else given.max_spp
     for number in count():
         spp = min(spp, most - most % given.batches)
-        seed = np.random.SeedSequence([given.seed, _ROUND, number]).generate_state(1, np.uint64)[0]
-        found = _checked(loaded, methods, {**fixed, "spp": spp, "seed": int(seed >> 1)})
+        seed = derived_seed(given.seed, _ROUND, number)
+        found = _checked(loaded, methods, {**fixed, "spp": spp, "seed": seed >> 1})
         if found.paths is None or 2 * spp > most:
             break
         spp = min(max(2 * spp, found.paths), _LEAP * spp)

@@ -162,6 +162,11 @@ class MeasurementOptions:
         return self.batches * max(1, round(UNIFORM_SPP / self.batches)) if self.spp is None else self.spp
 
     @property
+    def goal(self) -> float:
+        """The precision, where there is no `spp`."""
+        return PRECISION if self.precision is None else self.precision
+
+    @property
     def pilot_spp(self) -> int:
         """Paths per pixel of a precision's first round, and the least of any: a pair in each batch."""
         return 2 * self.batches

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
+import numpy as np
 
 from ..information.blocks import BLOCK
 from .rays import Lanes
@@ -19,6 +20,11 @@ if TYPE_CHECKING:
 PILOT, EVEN = 0x50494C4F, 0x4556454E
 """Purposes of the random numbers of pilot renders, and of what a block's pixels share; Jacobians use 0, but
 for lanes that are told apart by something else than the batch."""
+
+
+def derived_seed(seed: int, *purpose: int) -> int:
+    """Another seed, below 2^64, of what is a run of its own under a user's."""
+    return int(np.random.SeedSequence([seed, *purpose]).generate_state(1, np.uint64)[0])
 
 
 @functools.cache

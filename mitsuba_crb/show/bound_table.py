@@ -144,7 +144,7 @@ def _costs(console: Console, bound: PoseBound) -> None:
     table.add_column("derivative by")
     how = bound.provenance.get("nuisances", {})
     values = [*bound.position_std, *bound.rotation_std_deg]
-    verdicts = [*bound.position_verdict, *bound.rotation_verdict]
+    verdicts = bound.verdicts
     for name, known in bound.if_known.items():
         without = [*known.position_std, *known.rotation_std_deg]
         table.add_row(Text(name), *map(_factor, values, without, verdicts), how.get(name, ""))

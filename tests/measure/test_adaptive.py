@@ -42,16 +42,10 @@ def _pale() -> Any:
     return mi.Bitmap(values)
 
 
-def errors(bound: Any) -> np.ndarray:
-    """(6,) relative standard errors."""
-    both = np.concatenate([bound.position_std_standard_error, bound.rotation_std_deg_standard_error])
-    return np.asarray(both / np.concatenate([bound.position_std, bound.rotation_std_deg]))
-
-
 def test_the_precision_asked_for_is_reached_and_said() -> None:
     for precision in (0.1, 0.03):
         bound = pose_bound(lit(), SIGMA, precision=precision)
-        assert errors(bound).max() < 1.1 * precision
+        assert bound.relative_standard_error.max() < 1.1 * precision
         said = bound.provenance["sampling"]
         assert said["precision"] == precision
         assert said["rounds"]
@@ -119,7 +113,7 @@ def test_a_budget_is_kept_and_what_was_not_reached_is_said() -> None:
     said = bound.provenance["sampling"]
     assert said["paths"] <= 64 * 64 * 48
     assert said["paths"] > 32 * 64 * 48
-    assert errors(bound).max() > 0.002
+    assert bound.relative_standard_error.max() > 0.002
     few = pose_bound(lit(), SIGMA, precision=0.001, max_spp=8)  # a pilot that must be the answer
     assert few.provenance["sampling"]["rounds"] == []
     assert few.provenance["sampling"]["paths"] == 8 * 64 * 48
@@ -143,7 +137,7 @@ def test_a_scene_that_no_number_of_paths_resolves_ends_with_limits() -> None:
     """A wall of one colour under light that does not change: nothing to see, and noise that hides whether."""
     bound = pose_bound(scene(sensor=camera(32, 24), wall=wall()), SIGMA, max_spp=128)
     assert bound.rank < 6
-    verdicts = {*bound.position_verdict, *bound.rotation_verdict}
+    verdicts = set(bound.verdicts)
     assert verdicts <= {"unseen", "not resolved"}
     limits = np.concatenate([bound.position_std_lower_limit, bound.rotation_std_deg_lower_limit])
     assert (limits > 0.0).all()
@@ -171,7 +165,7 @@ def test_it_goes_with_everything(options: dict[str, Any]) -> None:
     bound = pose_bound(lit(32, 24), noise, precision=0.1, **given)
     many = pose_bound(lit(32, 24), noise, spp=512, seed=9, **given)
     found, truth = (np.concatenate([b.position_std, b.rotation_std_deg]) for b in (bound, many))
-    own = np.hypot(errors(bound), errors(many)) * truth
+    own = np.hypot(bound.relative_standard_error, many.relative_standard_error) * truth
     assert (np.abs(found - truth) < 4.5 * own).all()
 
 
