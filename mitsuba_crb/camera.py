@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .errors import OptionError
+from .errors import CameraError, OptionError
 from .se3 import Array
 
 
@@ -34,6 +34,62 @@ def image_size(size: Any) -> tuple[int, int]:
     if width <= 0 or height <= 0:
         raise OptionError(f"size must be positive; got {width}x{height}")
     return width, height
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """What a calibration says of a camera.
+
+    A point (X, Y, Z) in axes x right, y down, z forward lands at v = centre + focal · D(X/Z, Y/Z) [pixel]
+    from the image's upper left corner, D the lens model's distortion. With r² = x² + y² and θ = arctan r,
+
+        opencv   D = (x, y) (1 + k1 r² + k2 r⁴ + k3 r⁶)/(1 + k4 r² + k5 r⁴ + k6 r⁶)
+                     + (2 p1 x y + p2 (r² + 2 x²), p1 (r² + 2 y²) + 2 p2 x y)
+        fisheye  D = (x, y)/r θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸)
+
+    as in OpenCV; COLMAP's SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV and fisheyes are instances.
+
+    Raises:
+        CameraError: a value is not finite, a focal length not positive, or the model and its coefficients do
+            not fit.
+    """
+
+    size: tuple[int, int]
+    """Width and height of the image [pixel]."""
+    focal: tuple[float, float]
+    """fx, fy [pixel]."""
+    centre: tuple[float, float]
+    """cx, cy [pixel], where the first pixel's centre is at (0.5, 0.5)."""
+    model: str = "pinhole"
+    """A name in `LENS_MODELS`."""
+    distortion: tuple[float, ...] = ()
+    """The model's coefficients, in the order of `LENS_MODELS`."""
+
+    def __post_init__(self) -> None:
+        if self.model not in LENS_MODELS:
+            raise CameraError(f"lens model {self.model!r} is not known; known: {', '.join(LENS_MODELS)}")
+        names = LENS_MODELS[self.model]
+        if len(self.distortion) != len(names):
+            raise CameraError(
+                f"lens model {self.model} has {len(names)} coefficients ({', '.join(names)}), not "
+                f"{len(self.distortion)}"
+            )
+        object.__setattr__(self, "size", image_size(self.size))
+        for name, length in (("focal", 2), ("centre", 2), ("distortion", len(names))):
+            values = tuple(float(value) for value in getattr(self, name))
+            if len(values) != length or not np.isfinite(values).all():
+                raise CameraError(f"{name} must be {length} finite numbers; got {getattr(self, name)!r}")
+            object.__setattr__(self, name, values)
+        if min(self.focal) <= 0.0:
+            raise CameraError(f"focal lengths must be positive [pixel]; got {self.focal}")
+
+
+LENS_MODELS: dict[str, tuple[str, ...]] = {
+    "pinhole": (),
+    "opencv": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "fisheye": ("k1", "k2", "k3", "k4"),
+}
+"""Their coefficients, in OpenCV's order."""
 
 
 @dataclass(frozen=True, eq=False)

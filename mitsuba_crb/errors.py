@@ -27,6 +27,10 @@ class SensorError(MitsubaCRBError):
     """A sensor does not exist, or is of a kind whose pose cannot be bounded."""
 
 
+class CameraError(MitsubaCRBError):
+    """Intrinsics or a lens cannot be used: of another image, a model that folds it over."""
+
+
 class FilmError(MitsubaCRBError):
     """A film or its reconstruction filter does not measure linear RGB."""
 
