@@ -12,8 +12,14 @@ as if pixels were independent, and without that (Himeno and Yamada 2014, which i
 All tiles are screened by the batches at hand. A block is suspect if U exceeds `SUSPICION` standard errors and
 if the breach would matter: times the block's contrast, the largest error of L − Ī, it reaches `SHARE` of the
 block's own derivative. Suspects are measured again with more batches and random numbers of their own, which
-alone decide, by `LIMIT`. This tests the geometry of the flow: neither the view term, nor media, nor on which
-side L_bg is taken. Source: design section 4.1.
+alone decide: the same by `LIMIT`, and because a few samples of a contour may make the errors of all pixels,
+so that U is no normal variable but like a square, also by the tail of
+
+    K |R̄|² / mean |R_k|²  ~  χ²_ν / ν,     ν = (tr Σ)²/tr(Σ²)
+
+(Satterthwaite 1946; that a sum over its own size has no heavier tail, however bounded or not the errors are:
+Efron 1969). This tests the geometry of the flow: neither the view term, nor media, nor on which side L_bg is
+taken. Source: design section 4.1.
 """
 
 from __future__ import annotations
@@ -22,6 +28,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from ..information.blocks import BLOCK
 
@@ -30,11 +37,13 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 SUSPICION, LIMIT = 3.0, 4.0
-"""Standard errors of a block's U beyond which it is measured again, and beyond which its flow is wrong."""
+"""Standard errors of a block's U beyond which it is measured again, and beyond which (or in the tail of so
+many of a normal variable) its flow is wrong."""
 SHARE = 0.01
 """Least error of a block's derivative, over the derivative, that is worth a block's finite differences."""
-BATCHES, PATHS = 16, 16
+BATCHES, PATHS = 32, 8
 """Of suspects: batches, and the least paths of each, which is otherwise those of a batch that suspected."""
+_TINY = 1e-300
 
 
 @dataclass(frozen=True)
@@ -89,19 +98,33 @@ def suspects(residual: Floats, columns: Floats, image: Floats, blocks: FilmBlock
         image: (n, C) radiance.
         blocks: of the n pixels.
     """
-    suspect = breaches(residual, blocks, SUSPICION)
-    if not suspect.any():
-        return suspect
-    rows = np.flatnonzero(suspect[blocks.home])
+    return matters(residual, columns, image, blocks, _exceeds(residual, blocks, SUSPICION))
+
+
+def matters(residual: Floats, columns: Floats, image: Floats, blocks: FilmBlocks, which: Bools) -> Bools:
+    """(blocks,) those of `which` whose breach is worth finite differences; arguments as for `suspects`."""
+    if not which.any():
+        return which
+    found = which.copy()
+    rows = np.flatnonzero(which[blocks.home])
     own = blocks.part(rows)
     change = _square(residual[..., rows], own) * own.range(image[rows]) ** 2
     size = np.max([_square(c, own) for c in columns[:, rows].transpose(2, 3, 0, 1)], axis=0)
-    suspect[suspect] = change > SHARE**2 * size
-    return suspect
+    found[which] = change > SHARE**2 * size
+    return found
 
 
-def breaches(residual: Floats, blocks: FilmBlocks, limit: float = LIMIT) -> Bools:
-    """(blocks,) where U exceeds so many standard errors; `residual` as for `suspects`."""
+def breaches(residual: Floats, blocks: FilmBlocks) -> Bools:
+    """(blocks,) where the flow does not close, by `BATCHES` or so; `residual` as for `suspects`."""
+    found = _exceeds(residual, blocks, LIMIT)
+    if found.any():
+        rows = np.flatnonzero(found[blocks.home])
+        found[found] = _chance(residual[..., rows], blocks.part(rows)) < special.ndtr(-LIMIT)
+    return found
+
+
+def _exceeds(residual: Floats, blocks: FilmBlocks, limit: float) -> Bools:
+    """(blocks,) where U is larger than so many standard errors."""
     K = residual.shape[1]
     U = _square(residual, blocks)
     square = np.sign(U) * (U / limit) ** 2 * (K * (K - 1) / 2.0)
@@ -110,6 +133,16 @@ def breaches(residual: Floats, blocks: FilmBlocks, limit: float = LIMIT) -> Bool
         rows = np.flatnonzero(found[blocks.home])
         found[found] = square[found] > together(residual[..., rows], blocks.part(rows))
     return np.asarray(found, dtype=bool)
+
+
+def _chance(residual: Floats, blocks: FilmBlocks) -> Floats:
+    """(blocks,) that K |R̄|² over the mean of |R_k|² is so large where E R = 0."""
+    K = residual.shape[1]
+    centred = residual - residual.mean(axis=1, keepdims=True)
+    own, rest = (blocks.sum(np.einsum("pkn,pkn->n", part, part)) for part in (residual, centred))
+    spread = np.maximum(apart(residual, blocks), together(residual, blocks))
+    freedom = np.maximum((rest / (K - 1)) ** 2 / np.maximum(spread, _TINY), 1.0)
+    return np.asarray(special.chdtrc(freedom, freedom * K * (own - rest) / np.maximum(own, _TINY)))
 
 
 def _square(values: Floats, blocks: FilmBlocks) -> Floats:

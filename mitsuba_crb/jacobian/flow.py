@@ -40,7 +40,7 @@ from ..render.random import EVEN, EvenNumbers, derived_seed, lane_sampler, seedi
 from ..render.rays import Lanes, camera_ray, first_hits, opaque_transform
 from ..render.recorded import join, split
 from . import finite_difference
-from .closure import BATCHES, PATHS, FilmBlocks, breaches, suspects
+from .closure import BATCHES, PATHS, FilmBlocks, breaches, matters, suspects
 from .contours import Contours, ParallaxTerm, find_contours
 from .film_flow import FilmFlow
 from .method import Estimates, Paths
@@ -297,7 +297,9 @@ class SettledFlow:
         column, row = blocks.number & 0xFFFFFFFF, blocks.number >> 32
         edges = contours.samples[row * contours.columns + column] > 0.0
         causes = np.where(edges, "stacked edges", "unknown").astype(object)
-        causes[~breaches(self._residual, blocks)] = ""
+        columns, image = self._found.columns[:, self._again, :, :3], self._found.image[self._again]
+        wrong = matters(self._residual, columns, image, blocks, breaches(self._residual, blocks))
+        causes[~wrong] = ""
         return causes[blocks.home]
 
 

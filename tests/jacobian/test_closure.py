@@ -14,8 +14,8 @@ from small_scenes import T, camera, scene, wall
 from mitsuba_crb import pose_bound, pose_jacobian
 from mitsuba_crb.information.accumulate import InformationAccumulator, Sums
 from mitsuba_crb.information.joint import joint_information
-from mitsuba_crb.jacobian import flow
-from mitsuba_crb.jacobian.closure import FilmBlocks, _square, apart, breaches, suspects, together
+from mitsuba_crb.jacobian import closure, flow
+from mitsuba_crb.jacobian.closure import FilmBlocks, _square, apart, breaches, matters, suspects, together
 from mitsuba_crb.jacobian.finite_difference import BIAS, edge_bias, edge_misfit, order_of, step_for
 from mitsuba_crb.jacobian.silhouettes import Contours
 from mitsuba_crb.noise import CoupledNoise, Gaussian, LowRankPlusDiagonal, Stationary
@@ -83,6 +83,29 @@ def test_noise_raises_few_suspects_and_no_blame() -> None:
     # The control: half a standard deviation of one batch, in one block.
     many[..., blocks.home == 7] += 0.5
     assert breaches(many, blocks)[7]
+
+
+def test_few_samples_that_make_all_pixels_errors_raise_no_blame() -> None:
+    # A wave of one random phase over a block's rows, as evenly spaced samples of one edge make: two degrees
+    # of freedom, and bounded.
+    blocks = FilmBlocks.of(np.stack(np.meshgrid(np.arange(256), np.arange(256)), axis=-1).reshape(-1, 2))
+    phase = RNG.random((closure.BATCHES, len(blocks.number)))[:, blocks.home]
+    wave = np.sin(2.0 * np.pi * (phase + np.arange(len(blocks.home)) // 256 / 4.0))
+    residual = np.stack([wave, 0.0 * wave, 0.5 * wave])
+    # The control: standard errors of U alone blame some.
+    assert closure._exceeds(residual, blocks, closure.LIMIT).mean() > 0.005
+    assert not breaches(residual, blocks).any()
+    residual[:, :, blocks.home == 7] += 1.0
+    assert breaches(residual, blocks)[7]
+
+
+def test_what_is_measured_again_must_still_matter() -> None:
+    residual = RNG.normal(size=(3, 32, 128)) + 10.0
+    columns, image = np.ones((4, 128, 3, 3)), RNG.random((128, 1)) * np.ones(3)
+    found = breaches(residual, BLOCKS)
+    assert found.all()
+    assert matters(residual, columns, image, BLOCKS, found).all()
+    assert not matters(residual, 1e4 * columns, image, BLOCKS, found).any()
 
 
 def test_a_breach_that_no_contrast_shows_is_no_suspect() -> None:
