@@ -1,4 +1,4 @@
-"""The camera: where a point in its frame lands on the film, for a pinhole and for a thin lens.
+"""The camera: where a point in its frame lands on the film, for a pinhole, a lens that distorts, a thin lens.
 
 Seen from a point a of the lens (a = 0: pinhole; a_z = 0), with p' = p − a, a point p in the camera's frame
 has the film position
@@ -7,94 +7,26 @@ has the film position
 
 in pixels from the image's upper left corner; the first pixel's centre is at (0.5, 0.5). The camera's axes are
 Mitsuba's, x left and y up (`se3`), the image's x right and y down: scale = −1 / focal is negative.
+
+A distorted lens D (`distortion`) moves that point, of the *plain* film where lines are straight, to
+centre + focal D((v − centre) / focal).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .errors import CameraError, OptionError
-from .se3 import Array
-
-
-def image_size(size: Any) -> tuple[int, int]:
-    """Width and height [pixel] as whole numbers.
-
-    Raises:
-        OptionError: they are none, or not positive.
-    """
-    try:
-        width, height = (int(value) for value in size)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise OptionError(f"size must be two whole numbers, width and height; got {size!r}") from error
-    if width <= 0 or height <= 0:
-        raise OptionError(f"size must be positive; got {width}x{height}")
-    return width, height
-
-
-@dataclass(frozen=True)
-class Intrinsics:
-    """What a calibration says of a camera.
-
-    A point (X, Y, Z) in axes x right, y down, z forward lands at v = centre + focal · D(X/Z, Y/Z) [pixel]
-    from the image's upper left corner, D the lens model's distortion. With r² = x² + y² and θ = arctan r,
-
-        opencv   D = (x, y) (1 + k1 r² + k2 r⁴ + k3 r⁶)/(1 + k4 r² + k5 r⁴ + k6 r⁶)
-                     + (2 p1 x y + p2 (r² + 2 x²), p1 (r² + 2 y²) + 2 p2 x y)
-        fisheye  D = (x, y)/r θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸)
-
-    as in OpenCV; COLMAP's SIMPLE_RADIAL, RADIAL, OPENCV, FULL_OPENCV and fisheyes are instances.
-
-    Raises:
-        CameraError: a value is not finite, a focal length not positive, or the model and its coefficients do
-            not fit.
-    """
-
-    size: tuple[int, int]
-    """Width and height of the image [pixel]."""
-    focal: tuple[float, float]
-    """fx, fy [pixel]."""
-    centre: tuple[float, float]
-    """cx, cy [pixel], where the first pixel's centre is at (0.5, 0.5)."""
-    model: str = "pinhole"
-    """A name in `LENS_MODELS`."""
-    distortion: tuple[float, ...] = ()
-    """The model's coefficients, in the order of `LENS_MODELS`."""
-
-    def __post_init__(self) -> None:
-        if self.model not in LENS_MODELS:
-            raise CameraError(f"lens model {self.model!r} is not known; known: {', '.join(LENS_MODELS)}")
-        names = LENS_MODELS[self.model]
-        if len(self.distortion) != len(names):
-            raise CameraError(
-                f"lens model {self.model} has {len(names)} coefficients ({', '.join(names)}), not "
-                f"{len(self.distortion)}"
-            )
-        object.__setattr__(self, "size", image_size(self.size))
-        for name, length in (("focal", 2), ("centre", 2), ("distortion", len(names))):
-            values = tuple(float(value) for value in getattr(self, name))
-            if len(values) != length or not np.isfinite(values).all():
-                raise CameraError(f"{name} must be {length} finite numbers; got {getattr(self, name)!r}")
-            object.__setattr__(self, name, values)
-        if min(self.focal) <= 0.0:
-            raise CameraError(f"focal lengths must be positive [pixel]; got {self.focal}")
-
-
-LENS_MODELS: dict[str, tuple[str, ...]] = {
-    "pinhole": (),
-    "opencv": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
-    "fisheye": ("k1", "k2", "k3", "k4"),
-}
-"""Their coefficients, in OpenCV's order."""
+from ..se3 import Array
+from .distortion import Distortion
+from .intrinsics import Intrinsics
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Intrinsics of a camera without distortion."""
+    """Intrinsics of a camera, ready to project."""
 
     scale: Array
     """(2,) of x/z and y/z along a ray from the lens' centre, per film coordinate [1/pixel]."""
@@ -108,6 +40,8 @@ class Camera:
     """Of the aperture [scene unit]; 0: a pinhole."""
     focus: float = np.inf
     """Distance of the plane in focus [scene unit]."""
+    distortion: Distortion | None = None
+    """Of the lens; then the aperture is a point."""
 
     @staticmethod
     def pinhole(focal: ArrayLike, centre: ArrayLike, size: tuple[int, int]) -> Camera:
@@ -116,15 +50,40 @@ class Camera:
         return Camera(scale, -scale * np.asarray(centre, dtype=np.float64), size)
 
     @staticmethod
-    def fitted(film: ArrayLike, tangents: ArrayLike, size: tuple[int, int], **lens: float) -> Camera:
-        """From film points (n, 2) [pixel] and x/z, y/z (n, 2) of the rays through them from the lens' centre.
+    def of(
+        intrinsics: Intrinsics,
+        margin: float = 0.0,
+        *,
+        near: float = 0.0,
+        radius: float = 0.0,
+        focus: float = np.inf,
+    ) -> Camera:
+        """From a calibration.
 
         Args:
-            lens: `near`, `radius` and `focus`.
+            margin: how far beyond the image its pixels' filters reach [pixel].
+
+        Raises:
+            CameraError: as `Distortion.of`.
         """
+        pinhole = Camera.pinhole(intrinsics.focal, intrinsics.centre, intrinsics.size)
+        distortion = Distortion.of(intrinsics, margin)
+        return replace(pinhole, near=near, radius=radius, focus=focus, distortion=distortion)
+
+    @staticmethod
+    def fitted(
+        film: ArrayLike,
+        tangents: ArrayLike,
+        size: tuple[int, int],
+        *,
+        near: float = 0.0,
+        radius: float = 0.0,
+        focus: float = np.inf,
+    ) -> Camera:
+        """From film points (n, 2) [pixel] and x/z, y/z (n, 2) of rays through them from the lens' centre."""
         v, d = np.asarray(film, dtype=np.float64), np.asarray(tangents, dtype=np.float64)
         scale, offset = np.array([np.polyfit(v[:, j], d[:, j], 1) for j in range(2)], dtype=np.float64).T
-        return Camera(scale, offset, size, **lens)
+        return Camera(scale, offset, size, near, radius, focus)
 
     @property
     def focal(self) -> Array:
@@ -135,6 +94,10 @@ class Camera:
     def field_of_view_deg(self) -> list[float]:
         """Angles between the rays through the middles of opposite sides of the image [deg]: across, down."""
         first, last = self.offset, self.offset + self.scale * np.asarray(self.size)
+        if self.distortion is not None:
+            (x, y), (width, height) = self.centre, self.size
+            left, right, top, bottom = self.directions([[0.0, y], [width, y], [x, 0.0], [x, height]])[:, :2]
+            first, last = np.array([left[0], top[1]]), np.array([right[0], bottom[1]])
         return [float(angle) for angle in np.degrees(np.abs(np.arctan(first) - np.arctan(last)))]
 
     @property
@@ -165,12 +128,15 @@ class Camera:
         """
         p, a = np.asarray(points, dtype=np.float64), np.broadcast_to(lens, np.shape(points))
         direction = p[:, :2] / p[:, 2:] + a[:, :2] / self.focus
-        return np.asarray((direction - self.offset) / self.scale)
+        return self.distorted((direction - self.offset) / self.scale)
 
     def velocity(self, points: ArrayLike, moving: ArrayLike) -> Array:
         """Film velocity (n, 2) [pixel] of p' (n, 3) that move by `moving` (n, 3)."""
         p, dp = np.asarray(points, dtype=np.float64), np.asarray(moving, dtype=np.float64)
-        return np.asarray((dp[:, :2] - p[:, :2] / p[:, 2:] * dp[:, 2:]) / p[:, 2:] / self.scale)
+        plain = np.asarray((dp[:, :2] - p[:, :2] / p[:, 2:] * dp[:, 2:]) / p[:, 2:] / self.scale)
+        if self.distortion is None:
+            return plain
+        return self.distortion.stretched(-p[:, :2] / p[:, 2:], plain / self.focal) * self.focal
 
     def slope(self, points: ArrayLike) -> Array:
         """∂v/∂p' at p' (n, 3): (n, 2, 3) [pixel / scene unit]."""
@@ -187,8 +153,54 @@ class Camera:
 
     def directions(self, film: ArrayLike) -> Array:
         """The points (n, 3) at depth one in the camera's frame that a pinhole sees at (n, 2) [pixel]."""
-        xy = self.scale * np.asarray(film, dtype=np.float64) + self.offset
+        xy = self.scale * self.undistorted(np.asarray(film, dtype=np.float64)) + self.offset
         return np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
+
+    @property
+    def plain(self) -> Camera:
+        """The same without distortion."""
+        return self if self.distortion is None else replace(self, distortion=None)
+
+    def distorted(self, plain: Array) -> Array:
+        """Film points (..., 2) [pixel] of points of the plain film (..., 2)."""
+        if self.distortion is None:
+            return plain
+        return self.centre + self.focal * self.distortion.distorted((plain - self.centre) / self.focal)
+
+    def undistorted(self, film: Array) -> Array:
+        """Points of the plain film (..., 2) [pixel] of film points (..., 2)."""
+        if self.distortion is None:
+            return film
+        return self.centre + self.focal * self.distortion.undistorted((film - self.centre) / self.focal)
+
+    def stretched(self, plain: Array, along: Array) -> Array:
+        """Film vectors (..., 2) of vectors (..., 2) of the plain film, at points of it (..., 2)."""
+        if self.distortion is None:
+            return along
+        u = (plain - self.centre) / self.focal
+        return self.focal * self.distortion.stretched(u, along / self.focal)
+
+    def pulled(self, points: Array, covectors: Array) -> Array:
+        """mᵀ ∂v/∂(plain film point) (n, 2) of covectors m of the film (n, 2), at p' (n, 3)."""
+        if self.distortion is None:
+            return covectors
+        u = -points[:, :2] / points[:, 2:]
+        return self.distortion.stretched(u, covectors * self.focal) / self.focal
+
+    def plain_boxes(self, boxes: Array) -> Array:
+        """Rectangles x0 y0 x1 y1 (n, 4) of the plain film that hold those of the film (n, 4)."""
+        if self.distortion is None:
+            return boxes
+        # Both maps are one to one, so a rectangle's image ends where its border's does.
+        t = np.linspace(-1.0, 1.0, 9)
+        side = np.stack([t, np.ones_like(t)], axis=1)
+        around = np.concatenate([side, -side, side[:, ::-1], -side[:, ::-1]])
+        middle, half = 0.5 * (boxes[:, :2] + boxes[:, 2:]), 0.5 * (boxes[:, 2:] - boxes[:, :2])
+        border = self.undistorted(middle[:, None] + half[:, None] * around)
+        low, high = border.min(axis=1), border.max(axis=1)
+        # Between two of its points it bends less than it goes on.
+        pad = np.abs(np.diff(border.reshape(-1, 4, 9, 2), n=2, axis=2)).max(axis=(1, 2)) + 0.01
+        return np.concatenate([low - pad, high + pad], axis=1)
 
     def rim(self) -> Array:
         """(k, 3) points whose convex hull holds the aperture [scene unit]."""
