@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from .bound.cramer_rao import cramer_rao_bound as cramer_rao_bound
     from .bound.prior import PosePrior as PosePrior
     from .bound.prior import load_prior as load_prior
+    from .camera import Intrinsics as Intrinsics
+    from .datasets.intrinsics import load_camera as load_camera
     from .estimate.trials import validate as validate
     from .information.fisher import FisherInformation as FisherInformation
     from .information.image_information import fisher_information as fisher_information
@@ -70,6 +72,8 @@ _HOME = {
     "load_prior": "bound.prior",
     "SceneFile": "render.scene",
     "load_scene": "render.scene",
+    "Intrinsics": "camera",
+    "load_camera": "datasets.intrinsics",
     "select_tiles": "agents.selection",
     "Budget": "agents.tiles",
     "validate": "estimate.trials",

@@ -31,6 +31,10 @@ class CameraError(MitsubaCRBError):
     """Intrinsics or a lens cannot be used: of another image, a model that folds it over."""
 
 
+class CaptureError(MitsubaCRBError):
+    """A folder of posed photographs cannot be used: files are missing, or do not fit one another."""
+
+
 class FilmError(MitsubaCRBError):
     """A film or its reconstruction filter does not measure linear RGB."""
 

@@ -53,3 +53,12 @@ def real_scenes() -> Path:
     if not folder.is_dir():
         pytest.skip("needs ../shared/data/mitsuba")
     return folder
+
+
+@pytest.fixture
+def captures() -> Path:
+    """Posed photographs by others; tests that need them are skipped where they are absent."""
+    folder = ROOT.parent / "shared" / "data" / "multiview"
+    if not folder.is_dir():
+        pytest.skip("needs ../shared/data/multiview")
+    return folder

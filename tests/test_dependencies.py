@@ -15,6 +15,7 @@ DISTRIBUTIONS = {
     "skimage": "scikit-image",
     "mpl_toolkits": "matplotlib",
     "pydantic_core": "pydantic",
+    "yaml": "pyyaml",
 }
 """Of modules that are called otherwise."""
 

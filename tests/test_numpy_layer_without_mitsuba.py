@@ -23,7 +23,7 @@ import importlib
 import pkgutil
 from mitsuba_crb import camera, errors, files, message, noise, processes, se3
 
-for package in ("noise", "information", "bound", "agents"):
+for package in ("noise", "information", "bound", "agents", "datasets"):
     folder = importlib.import_module(f"mitsuba_crb.{package}")
     for module in pkgutil.iter_modules(folder.__path__):
         importlib.import_module(f"mitsuba_crb.{package}.{module.name}")

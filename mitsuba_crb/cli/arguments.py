@@ -14,6 +14,7 @@ from ..errors import OptionError, PoseError
 from ..files import read_array, read_json, read_rows, read_text
 
 if TYPE_CHECKING:
+    from ..camera import Intrinsics
     from ..noise import NoiseModel
 
 
@@ -67,6 +68,22 @@ def parse_pose(text: str | None) -> npt.NDArray[np.float64] | None:
         return se3.pose_from_numbers(values)
     except PoseError as error:
         raise PoseError(f"--pose {file}: {error}") from error
+
+
+def camera_file(text: str | None) -> Path | None:
+    """The file that a `--camera` text names, None if it is not given."""
+    return None if text is None else _file_and_name(text)[0]
+
+
+def parse_camera(text: str | None) -> Intrinsics | None:
+    """The calibration in a file, or in "FILE:NAME", of several cameras the one of this name.
+
+    Raises:
+        CameraError: the file is missing, of no known format or damaged, or the name is missing or unknown.
+    """
+    from ..datasets.intrinsics import load_camera
+
+    return None if text is None else load_camera(*_file_and_name(text))
 
 
 def parse_noise(sigma: float | None, file: Path | None) -> NoiseModel | None:
@@ -152,6 +169,13 @@ def view_options(
 def view_files(scene: Path, pose: str | None, pixels: str | None) -> list[Path]:
     """The files that the view is read from, which no output may overwrite."""
     return [scene, *filter(None, [pose_file(pose)]), *([Path(pixels)] if pixels else [])]
+
+
+def _file_and_name(text: str) -> tuple[Path, str | None]:
+    """Of "FILE:NAME", or of "FILE", in whose own name colons are allowed."""
+    file, colon, name = text.rpartition(":")
+    named = colon and not os.path.lexists(text) and os.path.lexists(file)
+    return (Path(file), name) if named else (Path(text), None)
 
 
 def _read(file: Path) -> Any:

@@ -17,6 +17,14 @@ Pose = Annotated[
         "or position and quaternion.",
     ),
 ]
+Camera = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FILE[:NAME]",
+        help="A calibration in place of the scene's camera: of COLMAP, transforms.json, ROS, Kalibr, OpenCV, "
+        "or TOML; NAME is one of several cameras in it.",
+    ),
+]
 Method = Annotated[str, typer.Option(metavar="M", help="How the Jacobian is measured.")]
 Spp = Annotated[
     int | None,

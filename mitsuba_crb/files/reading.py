@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import tomllib
 import warnings
 from collections.abc import Callable
@@ -26,6 +27,11 @@ def read_text(path: Path, fault: Fault) -> str:
     return _read(path, fault, "UTF-8 text", _text)
 
 
+def read_bytes(path: Path, fault: Fault) -> bytes:
+    """A file's bytes."""
+    return _read(path, fault, "file", bytes)
+
+
 def read_toml(path: Path, fault: Fault) -> dict[str, Any]:
     """A TOML document."""
     return _read(path, fault, "TOML", lambda data: tomllib.loads(_text(data)))
@@ -34,6 +40,14 @@ def read_toml(path: Path, fault: Fault) -> dict[str, Any]:
 def read_json(path: Path, fault: Fault) -> Any:
     """A JSON document."""
     return _read(path, fault, "JSON", lambda data: json.loads(_text(data)))
+
+
+def read_yaml(path: Path, fault: Fault) -> Any:
+    """A YAML document: tables, lists and texts; numbers stay texts, of which YAML's own idea is odd (1e-5).
+
+    Left out: tags, OpenCV's line %YAML:1.0, which is no YAML, and what follows the first document.
+    """
+    return _read(path, fault, "YAML", _yaml)
 
 
 def read_rows(path: Path, fault: Fault) -> NDArray[np.float64]:
@@ -56,6 +70,11 @@ def read_grey(path: Path, fault: Fault) -> NDArray[np.uint8]:
     return _read(path, fault, "image", _grey)
 
 
+def read_image_size(path: Path, fault: Fault) -> tuple[int, int]:
+    """An image's width and height [pixel]; its pixels stay unread."""
+    return _read(path, fault, "image", _image_size)
+
+
 def _read(path: Path, fault: Fault, kind: str, decode: Callable[[bytes], T]) -> T:
     try:
         data = path.read_bytes()
@@ -70,6 +89,19 @@ def _read(path: Path, fault: Fault, kind: str, decode: Callable[[bytes], T]) -> 
 
 def _text(data: bytes) -> str:
     return data.decode("utf-8-sig")
+
+
+def _yaml(data: bytes) -> Any:
+    import yaml
+
+    text = re.sub(r"\A%YAML.*", "", _text(data))
+    try:
+        return next(yaml.load_all(text, yaml.BaseLoader), None)
+    except yaml.MarkedYAMLError as error:  # its own words span several lines
+        place = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
+        raise ValueError(f"{place}{error.problem or error.context}") from None
+    except yaml.YAMLError as error:
+        raise ValueError(" ".join(str(error).split())) from None
 
 
 def _rows(data: bytes) -> NDArray[np.float64]:
@@ -99,3 +131,10 @@ def _grey(data: bytes) -> NDArray[np.uint8]:
 
     with Image.open(io.BytesIO(data)) as picture:
         return np.asarray(picture.convert("L"))
+
+
+def _image_size(data: bytes) -> tuple[int, int]:
+    from PIL import Image
+
+    with Image.open(io.BytesIO(data)) as picture:
+        return picture.size

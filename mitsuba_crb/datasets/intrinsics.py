@@ -1,0 +1,98 @@
+"""A camera from a file of another tool, or of ours, whose format is told by what is in it.
+
+`KNOWN` lists them. Principal points are converted to our origin, the image's upper left corner.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from ..camera import Intrinsics
+from ..errors import CameraError
+from ..files import read_bytes, read_json, read_text, read_toml, read_yaml
+from .binary import is_binary
+from .calibrations import Cameras, calibrated_cameras, read_xml
+from .colmap import is_cameras_binary, is_cameras_text, read_cameras
+from .colmap_model import camera_file
+from .inria import inria_cameras, is_inria
+from .own_camera import own_cameras
+from .rows import first_row
+from .transforms import is_transforms, transforms_cameras
+
+KNOWN = (
+    "COLMAP's cameras.txt and cameras.bin, transforms.json, ROS camera_info, Kalibr's camera chain, OpenCV's "
+    "YAML, XML and JSON, INRIA's cameras.json, and our TOML with size, focal, centre, model"
+)
+"""The formats, in words."""
+
+
+def load_camera(path: str | os.PathLike[str], name: str | None = None) -> Intrinsics:
+    """The camera of a calibration's file.
+
+    Args:
+        path: the file, in one of the formats in `KNOWN`, or the folder of a COLMAP model.
+        name: which camera, of a file with several different ones: what COLMAP or Kalibr call it, or the
+            name of an image that has its own.
+
+    Raises:
+        CameraError: the file is of none of these formats or is damaged, its lens model is not known, the
+            image's size is missing, or the name is missing or unknown.
+    """
+    file = Path(path)
+    found = _cameras(camera_file(file) if file.is_dir() else file)
+    if name is not None:
+        if name not in found:
+            raise CameraError(f"{file} has no camera {name!r}; {_listed(found, name)}")
+        return found[name]()
+    cameras = {make() for make in found.values()}
+    if len(cameras) > 1:
+        raise CameraError(f"{file} has several different cameras; name one of them: {_listed(found)}")
+    return cameras.pop()
+
+
+def _cameras(file: Path) -> Cameras:
+    data = read_bytes(file, CameraError)
+    if is_binary(data):
+        if not is_cameras_binary(data):
+            raise CameraError(f"{file} is no file of a camera that is known here; known: {KNOWN}")
+        return {key: camera.intrinsics for key, camera in read_cameras(file).items()}
+    line = first_row(read_text(file, CameraError))
+    if line is None:
+        raise CameraError(f"{file} is empty; expected a camera: {KNOWN}")
+    if is_cameras_text(line):
+        return {key: camera.intrinsics for key, camera in read_cameras(file).items()}
+    if re.match(r"\[[\s\w.\"'-]+\]$|[\w.\"'-]+\s*=", line.partition("#")[0].strip()):
+        return own_cameras(read_toml(file, CameraError), file)
+    document = _document(file, line)
+    if is_transforms(document):
+        return transforms_cameras(document, file)
+    if is_inria(document):
+        return inria_cameras(document, file)
+    found = calibrated_cameras(document, file)
+    if not found:
+        raise CameraError(f"{file} is no file of a camera that is known here; known: {KNOWN}")
+    return found
+
+
+def _document(file: Path, line: str) -> Any:
+    """Of JSON, XML or YAML, by the first line."""
+    if line.startswith(("{", "[")):
+        return read_json(file, CameraError)
+    if line.startswith("<"):
+        return read_xml(file)
+    return read_yaml(file, CameraError)
+
+
+def _listed(found: Cameras, name: str | None = None) -> str:
+    """The cameras' names, the near ones first, not too many."""
+    names = [repr(key) for key in found if key]
+    near = [repr(key) for key in get_close_matches(name or "", list(found), 3)]
+    if not names:
+        return "its one camera has no name"
+    if near:
+        return f"near ones are {', '.join(near)}"
+    return f"it has {', '.join(names[:8])}{', …' if len(names) > 8 else ''}"
