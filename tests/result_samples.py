@@ -25,7 +25,7 @@ from mitsuba_crb.bound.coordinates import to_coordinates
 from mitsuba_crb.bound.cramer_rao import PoseBound, cramer_rao_bound, joint_bound
 from mitsuba_crb.bound.hcr import hammersley_chapman_robbins
 from mitsuba_crb.bound.prior import prior_from_dict
-from mitsuba_crb.camera import Camera
+from mitsuba_crb.camera import Camera, Intrinsics
 from mitsuba_crb.errors import PrecisionWarning
 from mitsuba_crb.estimate.align import Alignment
 from mitsuba_crb.estimate.renderer_part import renderer_part
@@ -49,11 +49,25 @@ from mitsuba_crb.noise import Gaussian
 
 def samples() -> Iterator[Record]:
     """Some of each class; the kinds of one class that are written differently, too."""
-    for made_of in (_informations, _jacobians, _bounds, _agents, _messages, _trials, _findings):
+    for made_of in (
+        _calibrations,
+        _informations,
+        _jacobians,
+        _bounds,
+        _agents,
+        _messages,
+        _trials,
+        _findings,
+    ):
         rng = np.random.default_rng(sum(made_of.__name__.encode()))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PrecisionWarning)
             yield from made_of(rng)
+
+
+def _calibrations(rng: np.random.Generator) -> Iterator[Record]:
+    yield Intrinsics((640, 480), (525.0, 525.5), (320.0, 240.0))
+    yield Intrinsics((640, 480), (525.0, 525.5), (320.0, 240.0), "fisheye", tuple(rng.normal(size=4)))
 
 
 def information(rng: np.random.Generator, *, rank: int = 6, **changes: Any) -> FisherInformation:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import CameraError, OptionError
+from ..files import Record
 
 
 def image_size(size: Any) -> tuple[int, int]:
@@ -34,7 +35,7 @@ LENS_MODELS: dict[str, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True)
-class Intrinsics:
+class Intrinsics(Record):
     """What a calibration says of a camera.
 
     A point (X, Y, Z) in axes x right, y down, z forward lands at v = centre + focal · D(X/Z, Y/Z) [pixel]
@@ -119,7 +120,3 @@ class Intrinsics:
         x, y = width / across, height / down
         focal = (self.focal[0] * x, self.focal[1] * y)
         return replace(self, size=size, focal=focal, centre=(self.centre[0] * x, self.centre[1] * y))
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able."""
-        return {"model": self.model, "size": list(self.size), **self.parameters}
