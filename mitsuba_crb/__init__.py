@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from .bound.prior import load_prior as load_prior
     from .camera import Intrinsics as Intrinsics
     from .datasets.intrinsics import load_camera as load_camera
+    from .datasets.pose_list import Poses as Poses
+    from .datasets.poses import load_poses as load_poses
     from .estimate.trials import validate as validate
     from .information.fisher import FisherInformation as FisherInformation
     from .information.image_information import fisher_information as fisher_information
@@ -74,6 +76,8 @@ _HOME = {
     "load_scene": "render.scene",
     "Intrinsics": "camera",
     "load_camera": "datasets.intrinsics",
+    "Poses": "datasets.pose_list",
+    "load_poses": "datasets.poses",
     "select_tiles": "agents.selection",
     "Budget": "agents.tiles",
     "validate": "estimate.trials",

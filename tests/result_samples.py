@@ -26,6 +26,7 @@ from mitsuba_crb.bound.cramer_rao import PoseBound, cramer_rao_bound, joint_boun
 from mitsuba_crb.bound.hcr import hammersley_chapman_robbins
 from mitsuba_crb.bound.prior import prior_from_dict
 from mitsuba_crb.camera import Camera, Intrinsics
+from mitsuba_crb.datasets.pose_list import Poses
 from mitsuba_crb.errors import PrecisionWarning
 from mitsuba_crb.estimate.align import Alignment
 from mitsuba_crb.estimate.renderer_part import renderer_part
@@ -68,6 +69,8 @@ def samples() -> Iterator[Record]:
 def _calibrations(rng: np.random.Generator) -> Iterator[Record]:
     yield Intrinsics((640, 480), (525.0, 525.5), (320.0, 240.0))
     yield Intrinsics((640, 480), (525.0, 525.5), (320.0, 240.0), "fisheye", tuple(rng.normal(size=4)))
+    poses = np.array([random_pose(rng) for _ in range(3)])
+    yield Poses(poses, ("a", "b", "c"), "TUM", "world_from_camera", ("1", "1", "2"), ("off by 1e-4",))
 
 
 def information(rng: np.random.Generator, *, rank: int = 6, **changes: Any) -> FisherInformation:

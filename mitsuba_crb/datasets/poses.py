@@ -1,0 +1,112 @@
+"""Poses from a file of another tool, or of ours, whose format is told by what is in it.
+
+`KNOWN` lists them. All become world_from_camera in the axes of `se3`.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import PoseError
+from ..files import read_array, read_bytes, read_json, read_text
+from .binary import is_binary
+from .colmap import is_cameras_binary, is_cameras_text
+from .colmap_images import colmap_poses, is_images_binary, is_images_text
+from .colmap_model import model_file
+from .conventions import Convention, parse_convention
+from .images import images_beside
+from .inria import inria_poses, is_inria
+from .llff import is_llff, llff_poses
+from .pose_list import Poses, from_matrices, listed
+from .rows import first_row
+from .trajectories import trajectory
+from .transform_poses import transforms_poses
+from .transforms import is_transforms
+
+KNOWN = (
+    "TUM, KITTI, EuRoC's csv, COLMAP's images.txt and images.bin, transforms.json, LLFF's poses_bounds.npy, "
+    "INRIA's cameras.json, Tanks and Temples' .log, and 4x4 matrices as text, .npy or JSON"
+)
+"""The formats, in words."""
+
+_OURS = Convention("mitsuba", "world_from_camera")
+
+
+def load_poses(
+    path: str | os.PathLike[str],
+    convention: str | None = None,
+    *,
+    dataparser: str | os.PathLike[str] | None = None,
+) -> Poses:
+    """The poses in a file, as world_from_camera in our axes.
+
+    Args:
+        path: the file, in one of the formats in `KNOWN`, or the folder of a COLMAP model or transforms.json.
+        convention: what the file does not say, in words: the camera's axes (mitsuba, opencv, opengl), what
+            the poses map (world_from_camera, camera_from_world) and a quaternion's order (xyzw, wxyz).
+        dataparser: nerfstudio's `dataparser_transforms.json`, for poses of a transforms.json in the trained
+            model's world; default: the one beside the file, if there is one.
+
+    Raises:
+        PoseError: the file is of none of these formats or is damaged, a pose is no rigid motion, or the
+            convention contradicts the file.
+    """
+    file = _file(Path(path))
+    given = parse_convention(convention)
+    data = read_bytes(file, PoseError)
+    if data.startswith(b"\x93NUMPY"):
+        return _of_array(read_array(file, PoseError), file, given)
+    if is_binary(data):
+        if is_cameras_binary(data):
+            raise PoseError(f"{file} lists cameras, not poses; give images.bin, or the model's folder")
+        if not is_images_binary(data):
+            raise PoseError(f"{file} is no file of poses that is known here; known: {KNOWN}")
+        return colmap_poses(file, given)
+    line = first_row(read_text(file, PoseError))
+    if line is None:
+        raise PoseError(f"{file} is empty; expected poses: {KNOWN}")
+    if line.startswith(("{", "[")):
+        return _of_document(
+            read_json(file, PoseError), file, given, None if dataparser is None else Path(dataparser)
+        )
+    if is_cameras_text(line):
+        raise PoseError(f"{file} lists cameras, not poses; give images.txt, or the model's folder")
+    return colmap_poses(file, given) if is_images_text(line) else trajectory(file, given)
+
+
+def _file(path: Path) -> Path:
+    """The file itself, or the one that has the poses in a folder."""
+    if not path.is_dir():
+        return path
+    for name in ("transforms.json", "transforms_train.json"):
+        if (path / name).is_file():
+            return path / name
+    return model_file(path, "images", PoseError)
+
+
+def _of_document(document: Any, file: Path, given: Convention, dataparser: Path | None) -> Poses:
+    if is_transforms(document):
+        return transforms_poses(document, file, given, dataparser)
+    if is_inria(document):
+        return inria_poses(document, file, given)
+    try:
+        array = np.array(document, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise PoseError(f"{file} is no file of poses that is known here; known: {KNOWN}") from None
+    return _of_array(array, file, given)
+
+
+def _of_array(array: Any, file: Path, given: Convention) -> Poses:
+    if is_llff(array):
+        return llff_poses(array, file, given, images_beside(file, len(array)))
+    if array.ndim == 2 and array.shape in ((4, 4), (3, 4)):
+        array = array[None]
+    if array.ndim != 3 or array.shape[1:] not in ((4, 4), (3, 4)) or not len(array):
+        raise PoseError(f"{file} has the shape {array.shape}; poses have (n, 4, 4), and LLFF's (n, 17)")
+    poses, notes = from_matrices(array, [f"{file}: pose {k}" for k in range(len(array))])
+    names = [str(k) for k in range(len(array))]
+    return listed(file, given, _OURS, form="4x4 matrices", poses=poses, names=names, notes=notes)
