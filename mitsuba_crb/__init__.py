@@ -27,7 +27,9 @@ if TYPE_CHECKING:
     from .bound.prior import PosePrior as PosePrior
     from .bound.prior import load_prior as load_prior
     from .camera import Intrinsics as Intrinsics
+    from .datasets.captures import load_capture as load_capture
     from .datasets.intrinsics import load_camera as load_camera
+    from .datasets.photographs import Capture as Capture
     from .datasets.pose_list import Poses as Poses
     from .datasets.poses import load_poses as load_poses
     from .estimate.trials import validate as validate
@@ -76,6 +78,8 @@ _HOME = {
     "load_scene": "render.scene",
     "Intrinsics": "camera",
     "load_camera": "datasets.intrinsics",
+    "Capture": "datasets.photographs",
+    "load_capture": "datasets.captures",
     "Poses": "datasets.pose_list",
     "load_poses": "datasets.poses",
     "select_tiles": "agents.selection",

@@ -26,6 +26,7 @@ from mitsuba_crb.bound.cramer_rao import PoseBound, cramer_rao_bound, joint_boun
 from mitsuba_crb.bound.hcr import hammersley_chapman_robbins
 from mitsuba_crb.bound.prior import prior_from_dict
 from mitsuba_crb.camera import Camera, Intrinsics
+from mitsuba_crb.datasets.photographs import Capture, Photograph
 from mitsuba_crb.datasets.pose_list import Poses
 from mitsuba_crb.errors import PrecisionWarning
 from mitsuba_crb.estimate.align import Alignment
@@ -70,6 +71,12 @@ def _calibrations(rng: np.random.Generator) -> Iterator[Record]:
     yield Intrinsics((640, 480), (525.0, 525.5), (320.0, 240.0))
     yield Intrinsics((640, 480), (525.0, 525.5), (320.0, 240.0), "fisheye", tuple(rng.normal(size=4)))
     poses = np.array([random_pose(rng) for _ in range(3)])
+    camera = Intrinsics((4, 3), (5.0, 5.0), (2.0, 1.5))
+    photographs = tuple(Photograph("a", "a.png", camera, pose, "mask.png") for pose in poses)
+    yield photographs[0]
+    points, colours = rng.normal(size=(4, 3)), rng.integers(0, 256, (4, 3)).astype(np.uint8)
+    yield Capture(photographs, (1, 2), (0,), "every 8th", "COLMAP", "camera_from_world", points, colours)
+    yield Capture(photographs, (0, 1, 2), (), "all", "LLFF", "world_from_camera", notes=("no points",))
     yield Poses(poses, ("a", "b", "c"), "TUM", "world_from_camera", ("1", "1", "2"), ("off by 1e-4",))
 
 

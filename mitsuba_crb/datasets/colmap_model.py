@@ -14,12 +14,16 @@ _PARTS = ("cameras", "images")
 
 
 def model_folder(folder: Path) -> Path | None:
-    """The folder of the COLMAP model that is in this one, if there is one."""
-    for place in _PLACES:
-        for ending in ("bin", "txt"):
-            if any((folder / place / f"{name}.{ending}").is_file() for name in ("cameras", "images")):
-                return folder / place
-    return None
+    """Where in this folder the COLMAP model is: at a usual place, or in the only folder that has one."""
+    usual = [folder / place for place in _PLACES if _has_model(folder / place)]
+    if usual or not folder.is_dir():
+        return usual[0] if usual else None
+    others = [part for part in folder.iterdir() if _has_model(part)]
+    return others[0] if len(others) == 1 else None
+
+
+def _has_model(folder: Path) -> bool:
+    return any((folder / f"{part}.{ending}").is_file() for part in _PARTS for ending in ("bin", "txt"))
 
 
 def model_file(folder: Path, name: str, fault: Fault) -> Path:

@@ -19,6 +19,11 @@ def image_folders(folder: Path) -> list[Path]:
     return sorted(found, key=lambda part: int(part.name[7:] or 1))
 
 
+def is_reduced(folder: Path) -> bool:
+    """Whether the folder's name, such as `images_4`, says that its images are smaller ones."""
+    return re.fullmatch(r"images_\d+", folder.name) is not None
+
+
 def images_beside(file: Path, count: int) -> list[str] | None:
     """Names of the images beside a file that lists them by their sorted order; None if none are so many."""
     for folder in image_folders(file.parent):
@@ -26,3 +31,13 @@ def images_beside(file: Path, count: int) -> list[str] | None:
         if len(images) == count:
             return [image.name for image in images]
     return None
+
+
+def mask_of(image: Path, folder: Path) -> Path | None:
+    """The image's mask in `masks` (of `images_8`: `masks_8`) beside the images' folder, if it is there."""
+    masks = folder.with_name(folder.name.replace("images", "masks"))
+    if masks == folder:
+        return None
+    below = image.relative_to(folder)
+    names = (below.with_suffix(".png"), below.with_name(f"{below.name}.png"), below)
+    return next((masks / name for name in names if (masks / name).is_file()), None)

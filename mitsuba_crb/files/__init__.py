@@ -2,6 +2,7 @@
 
 from .reading import read_array as read_array
 from .reading import read_bytes as read_bytes
+from .reading import read_colours as read_colours
 from .reading import read_grey as read_grey
 from .reading import read_image_size as read_image_size
 from .reading import read_json as read_json

@@ -72,7 +72,19 @@ def read_grey(path: Path, fault: Fault) -> NDArray[np.uint8]:
 
 def read_image_size(path: Path, fault: Fault) -> tuple[int, int]:
     """An image's width and height [pixel]; its pixels stay unread."""
-    return _read(path, fault, "image", _image_size)
+    from PIL import Image
+
+    try:
+        with Image.open(path) as picture:
+            return picture.size
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else "it is no image"
+        raise fault(f"cannot read {path}: {reason}") from error
+
+
+def read_colours(path: Path, fault: Fault) -> NDArray[np.float32]:
+    """An image's values (H, W, 4), red, green, blue and opacity as stored, from 0 to 1."""
+    return _read(path, fault, "image", _colours)
 
 
 def _read(path: Path, fault: Fault, kind: str, decode: Callable[[bytes], T]) -> T:
@@ -133,8 +145,8 @@ def _grey(data: bytes) -> NDArray[np.uint8]:
         return np.asarray(picture.convert("L"))
 
 
-def _image_size(data: bytes) -> tuple[int, int]:
+def _colours(data: bytes) -> NDArray[np.float32]:
     from PIL import Image
 
     with Image.open(io.BytesIO(data)) as picture:
-        return picture.size
+        return np.asarray(picture.convert("RGBA"), dtype=np.float32) / np.float32(255.0)

@@ -6,7 +6,10 @@ import json
 import struct
 from pathlib import Path
 
+import numpy as np
+
 from mitsuba_crb import Intrinsics
+from mitsuba_crb.camera import LENS_MODELS
 
 PLAIN = ("k1", "k2", "p1", "p2", "k3")
 OPENCV = Intrinsics(
@@ -217,3 +220,26 @@ def written(folder: Path, text: str | bytes, name: str = "file") -> Path:
     path = folder / name
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
+
+
+def distorted(camera: Intrinsics, points: np.ndarray) -> np.ndarray:
+    """Where `Intrinsics` says that points at depth one land, axes x right, y down."""
+    k = dict(zip(LENS_MODELS[camera.model], camera.distortion, strict=True))
+    x, y = points.T
+    r2 = x * x + y * y
+    if camera.model == "fisheye":
+        r = np.sqrt(r2)
+        t = np.arctan(r)
+        t2 = t * t
+        scale = t * (1 + t2 * (k["k1"] + t2 * (k["k2"] + t2 * (k["k3"] + t2 * k["k4"])))) / r
+        d = np.stack([x * scale, y * scale], axis=1)
+    elif camera.model == "opencv":
+        scale = (1 + r2 * (k["k1"] + r2 * (k["k2"] + r2 * k["k3"]))) / (
+            1 + r2 * (k["k4"] + r2 * (k["k5"] + r2 * k["k6"]))
+        )
+        dx = 2 * k["p1"] * x * y + k["p2"] * (r2 + 2 * x * x)
+        dy = k["p1"] * (r2 + 2 * y * y) + 2 * k["p2"] * x * y
+        d = np.stack([x * scale + dx, y * scale + dy], axis=1)
+    else:
+        d = points
+    return np.array(camera.centre) + np.array(camera.focal) * d
