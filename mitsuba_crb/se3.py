@@ -134,7 +134,8 @@ def as_pose(value: ArrayLike | RigidTransform, name: str = "the pose") -> Array:
             f"{name} has the last row {matrix[3].tolist()}, not (0, 0, 0, 1); is the matrix transposed?"
         )
     left, scales, right = np.linalg.svd(matrix[:3, :3])
-    if np.linalg.det(matrix[:3, :3]) < 0.0:
+    # Of the orthogonal factors: numbers from damaged files overflow in the matrix' own determinant.
+    if scales[2] > 0.0 and np.linalg.det(left @ right) < 0.0:
         raise PoseError(f"{name} contains a reflection (determinant < 0); give a rotation and a translation")
     deviation = float(np.abs(scales - 1.0).max())
     if deviation > _RIGID_TOLERANCE:

@@ -27,6 +27,7 @@ _MODELS: dict[str, tuple[str, tuple[str, ...]]] = {
     "plumb_bob": ("opencv", _PLAIN[:5]),
     "rational_polynomial": ("opencv", _PLAIN),
     "equidistant": ("fisheye", _FISHEYE),
+    "equi": ("fisheye", _FISHEYE),
     "fisheye": ("fisheye", _FISHEYE),
     "radtan": ("opencv", _PLAIN[:4]),
     "radial-tangential": ("opencv", _PLAIN[:4]),
@@ -124,7 +125,7 @@ def _with_matrix(found: Mapping[str, Any], where: str) -> Intrinsics:
     )
 
 
-_MATRICES = ("camera_matrix", "cameramatrix", "intrinsic_matrix", "k", "mtx", "m1")
+_MATRICES = ("camera_matrix", "cameramatrix", "intrinsic_matrix", "k", "mtx")
 _DISTORTIONS = (
     "distortion_coefficients",
     "distortion_coeffs",
@@ -133,7 +134,6 @@ _DISTORTIONS = (
     "distortion",
     "dist",
     "d",
-    "d1",
 )
 """What tools, and the samples of OpenCV's own, call them, in small letters."""
 

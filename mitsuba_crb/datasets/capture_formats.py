@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..camera import Intrinsics
 from ..errors import CaptureError, PoseError
-from ..files import read_array, read_image_size, read_json, read_rows
+from ..files import read_array, read_bytes, read_image_size, read_json, read_rows
 from ..se3 import Array
 from .colmap import read_cameras
 from .colmap_model import model_file, model_folder
@@ -77,8 +77,7 @@ def found_in(place: Path, images: str | None, camera: Intrinsics | None) -> Foun
 
 
 def _in_file(file: Path, images: str | None, camera: Intrinsics | None) -> Found:
-    with file.open("rb") as opened:
-        start = opened.read(64)
+    start = read_bytes(file, CaptureError)[:64]
     if start.startswith(b"\x93NUMPY"):
         return _llff(file, images, camera)
     if start.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
@@ -98,10 +97,20 @@ def _transforms(file: Path, images: str | None, camera: Intrinsics | None) -> Fo
     if images is not None:
         photographs = [file.parent / images / image.name for image in photographs]
     masks = [file.parent / str(frame["mask_path"]) if frame.get("mask_path") else None for frame in frames]
+    depths = [file.parent / str(frame["depth_file_path"]) for frame in frames if frame.get("depth_file_path")]
     cameras = [camera or frame_intrinsics(document, frame, file) for frame in frames]
     held_out, said = _held_out(document, file)
     reduced = images is not None and is_reduced(file.parent / images)
-    found = Found(poses, photographs, cameras, reduced, masks, held_out=held_out, said=said)
+    found = Found(
+        poses,
+        photographs,
+        cameras,
+        reduced,
+        masks,
+        depths=depths if len(depths) == len(frames) else None,
+        held_out=held_out,
+        said=said,
+    )
     test = file.with_name("transforms_test.json")
     if file.name != "transforms_train.json":
         return found
@@ -129,6 +138,7 @@ def _joined(train: Found, test: Found) -> Found:
         images=train.images + test.images,
         cameras=train.cameras + test.cameras,
         masks=[*(train.masks or ()), *(test.masks or ())],
+        depths=train.depths + test.depths if train.depths and test.depths else None,
         held_out=set(test.poses.names),
         said="transforms_test.json",
     )
@@ -144,14 +154,14 @@ def _colmap(place: Path, images: str | None, camera: Intrinsics | None) -> Found
     known = {key: camera or cameras[key].intrinsics() for key in set(poses.cameras)}
     folder = _images_of_model(place, model, images)
     order = sorted(range(len(poses)), key=lambda k: poses.names[k])
-    names = [poses.names[k] for k in order]
+    names, keys = [poses.names[k] for k in order], [poses.cameras[k] for k in order]
     has_points = any((model / f"points3D.{ending}").is_file() for ending in ("bin", "txt"))
     return Found(
-        replace(poses, poses=poses.poses[order], names=tuple(names)),
+        replace(poses, poses=poses.poses[order], names=tuple(names), cameras=tuple(keys)),
         [folder / name for name in names],
-        [known[poses.cameras[k]] for k in order],
+        [known[key] for key in keys],
         scaled=is_reduced(folder),
-        masks=[mask_of(folder / name, folder) for name in names],
+        masks=[mask_of(folder, name) for name in names],
         points=read_points(model_file(model, "points3D", CaptureError)) if has_points else None,
         notes=() if has_points else (f"{model} has no points3D",),
     )
@@ -179,7 +189,7 @@ def _llff(file: Path, images: str | None, camera: Intrinsics | None) -> Found:
         photographs,
         [camera] * len(poses) if camera else llff_intrinsics(array, file),
         scaled=True,
-        masks=[mask_of(image, folder) for image in photographs],
+        masks=[mask_of(folder, image.name) for image in photographs],
     )
 
 
@@ -191,7 +201,7 @@ def _log(file: Path, images: str | None, camera: Intrinsics | None) -> Found:
             raise CaptureError(f"{file} says nothing of the camera; give its calibration as `camera`")
         camera = load_camera(beside[0])
     folder, photographs = _sorted_images(file, images, len(poses))
-    masks = [mask_of(image, folder) for image in photographs]
+    masks = [mask_of(folder, image.name) for image in photographs]
     return Found(poses, photographs, [camera] * len(poses), is_reduced(folder), masks)
 
 

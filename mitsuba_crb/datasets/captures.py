@@ -82,7 +82,11 @@ def load_capture(
 
 def _check_files(place: Path, found: Found) -> None:
     """Refuses a capture whose files are not all there."""
-    for kind, files in (("images", found.images), ("masks", found.masks or ())):
+    for kind, files in (
+        ("images", found.images),
+        ("masks", found.masks or ()),
+        ("depth maps", found.depths or ()),
+    ):
         missing = [file for file in files if file is not None and not file.is_file()]
         if missing:
             raise CaptureError(

@@ -43,9 +43,10 @@ def model_file(folder: Path, name: str, fault: Fault) -> Path:
 
 
 def camera_file(folder: Path) -> Path:
-    """What lists the cameras of the model in a folder.
+    """What has the cameras of a folder: its transforms.json, or its COLMAP model.
 
     Raises:
-        CameraError: there is no model.
+        CameraError: there is neither.
     """
-    return model_file(folder, "cameras", CameraError)
+    transforms = folder / "transforms.json"
+    return transforms if transforms.is_file() else model_file(folder, "cameras", CameraError)

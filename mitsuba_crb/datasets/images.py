@@ -33,11 +33,11 @@ def images_beside(file: Path, count: int) -> list[str] | None:
     return None
 
 
-def mask_of(image: Path, folder: Path) -> Path | None:
-    """The image's mask in `masks` (of `images_8`: `masks_8`) beside the images' folder, if it is there."""
+def mask_of(folder: Path, name: str) -> Path | None:
+    """An image's mask in `masks` beside the images' folder (`masks_8` beside `images_8`), if it is there."""
     masks = folder.with_name(folder.name.replace("images", "masks"))
-    if masks == folder:
+    below = Path(name)
+    if masks == folder or below.is_absolute():
         return None
-    below = image.relative_to(folder)
     names = (below.with_suffix(".png"), below.with_name(f"{below.name}.png"), below)
     return next((masks / name for name in names if (masks / name).is_file()), None)

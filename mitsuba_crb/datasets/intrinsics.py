@@ -34,7 +34,7 @@ def load_camera(path: str | os.PathLike[str], name: str | None = None) -> Intrin
     """The camera of a calibration's file.
 
     Args:
-        path: the file, in one of the formats in `KNOWN`, or the folder of a COLMAP model.
+        path: the file, in one of the formats in `KNOWN`, or the folder of a COLMAP model or transforms.json.
         name: which camera, of a file with several different ones: what COLMAP or Kalibr call it, or the
             name of an image that has its own.
 

@@ -25,7 +25,7 @@ _WORDS = "world_from_camera, camera axes x down, y right, z back (LLFF)"
 
 def is_llff(array: NDArray[Any]) -> bool:
     """Whether an array is one of these."""
-    return array.ndim == 2 and array.shape[1] == 17
+    return array.ndim == 2 and array.shape[1] == 17 and len(array) > 0
 
 
 def llff_poses(array: NDArray[Any], path: Path, given: Convention, names: Sequence[str] | None) -> Poses:

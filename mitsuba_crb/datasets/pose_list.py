@@ -115,7 +115,8 @@ def from_quaternions(
     finite = np.isfinite(t).all(axis=1) & np.isfinite(q).all(axis=1)
     if not finite.all():
         raise PoseError(f"{wheres[int(np.argmin(finite))]} has numbers that are NaN or infinite")
-    length = np.linalg.norm(q, axis=1)
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(q, axis=1)
     off = np.abs(length - 1.0)
     if off.max(initial=0.0) > _UNIT_TOLERANCE:
         k = int(np.argmax(off > _UNIT_TOLERANCE))

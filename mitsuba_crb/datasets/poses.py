@@ -1,11 +1,12 @@
 """Poses from a file of another tool, or of ours, whose format is told by what is in it.
 
-`KNOWN` lists them. All become world_from_camera in the axes of `se3`.
+`trajectories.KNOWN` lists them. All become world_from_camera in the axes of `se3`.
 """
 
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -23,15 +24,9 @@ from .inria import inria_poses, is_inria
 from .llff import is_llff, llff_poses
 from .pose_list import Poses, from_matrices, listed
 from .rows import first_row
-from .trajectories import trajectory
+from .trajectories import KNOWN, trajectory
 from .transform_poses import transforms_poses
 from .transforms import is_transforms
-
-KNOWN = (
-    "TUM, KITTI, EuRoC's csv, COLMAP's images.txt and images.bin, transforms.json, LLFF's poses_bounds.npy, "
-    "INRIA's cameras.json, Tanks and Temples' .log, and 4x4 matrices as text, .npy or JSON"
-)
-"""The formats, in words."""
 
 _OURS = Convention("mitsuba", "world_from_camera")
 
@@ -45,7 +40,8 @@ def load_poses(
     """The poses in a file, as world_from_camera in our axes.
 
     Args:
-        path: the file, in one of the formats in `KNOWN`, or the folder of a COLMAP model or transforms.json.
+        path: the file, in a format of `trajectories.KNOWN`, or the folder of a COLMAP model or a
+            transforms.json.
         convention: what the file does not say, in words: the camera's axes (mitsuba, opencv, opengl), what
             the poses map (world_from_camera, camera_from_world) and a quaternion's order (xyzw, wxyz).
         dataparser: nerfstudio's `dataparser_transforms.json`, for poses of a transforms.json in the trained
@@ -66,7 +62,8 @@ def load_poses(
         if not is_images_binary(data):
             raise PoseError(f"{file} is no file of poses that is known here; known: {KNOWN}")
         return colmap_poses(file, given)
-    line = first_row(read_text(file, PoseError))
+    text = read_text(file, PoseError)
+    line = first_row(text)
     if line is None:
         raise PoseError(f"{file} is empty; expected poses: {KNOWN}")
     if line.startswith(("{", "[")):
@@ -75,7 +72,9 @@ def load_poses(
         )
     if is_cameras_text(line):
         raise PoseError(f"{file} lists cameras, not poses; give images.txt, or the model's folder")
-    return colmap_poses(file, given) if is_images_text(line) else trajectory(file, given)
+    if is_images_text(line) or re.search(r"^#.*\bIMAGE_ID\b.*\bQW\b", text, re.MULTILINE):
+        return colmap_poses(file, given)
+    return trajectory(file, given)
 
 
 def _file(path: Path) -> Path:

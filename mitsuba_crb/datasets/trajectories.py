@@ -26,6 +26,12 @@ from .headers import Columns, columns_of
 from .pose_list import Poses, from_matrices, from_quaternions, listed
 from .rows import Row, are_numbers, rows_of
 
+KNOWN = (
+    "TUM, KITTI, EuRoC's csv, COLMAP's images.txt and images.bin, transforms.json, LLFF's poses_bounds.npy, "
+    "INRIA's cameras.json, Tanks and Temples' .log, and 4x4 matrices as text, .npy or JSON"
+)
+"""All formats of poses, in words."""
+
 _CAMERA = Convention("opencv", "world_from_camera")
 _OURS = Convention("mitsuba", "world_from_camera")
 _MATRICES = {
@@ -48,8 +54,8 @@ def trajectory(path: Path, given: Convention) -> Poses:
     if rows and not are_numbers(rows[0][1]):
         comments.append(text.splitlines()[rows[0][0] - 1])
         rows = rows[1:]
-    if not rows:
-        raise PoseError(f"{path} has no pose in it")
+    if not rows or not are_numbers(rows[0][1]):
+        raise PoseError(f"{path} has no rows of numbers; known are files of poses of {KNOWN}")
     for line, words in rows:
         for word in words:
             number(word, f"{path}, line {line}: an entry", PoseError)

@@ -77,7 +77,7 @@ def read_image_size(path: Path, fault: Fault) -> tuple[int, int]:
     try:
         with Image.open(path) as picture:
             return picture.size
-    except (OSError, ValueError) as error:
+    except Exception as error:  # see `_read`
         reason = error.strerror if isinstance(error, OSError) and error.strerror else "it is no image"
         raise fault(f"cannot read {path}: {reason}") from error
 
