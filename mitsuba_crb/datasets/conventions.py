@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..errors import PoseError
-from ..se3 import Array, inverse
+from ..se3 import Array, as_pose, inverse
 
 AXES = {"mitsuba": (1.0, 1.0, 1.0), "opencv": (-1.0, -1.0, 1.0), "opengl": (-1.0, 1.0, -1.0)}
 """Names of camera axes, and the diagonal matrix that turns them to ours, which are Mitsuba's."""
@@ -26,7 +27,7 @@ MAPS = ("world_from_camera", "camera_from_world")
 ORDERS = ("xyzw", "wxyz")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Convention:
     """Of a file of poses; None is what is not said."""
 
@@ -36,6 +37,8 @@ class Convention:
     """One of `MAPS`."""
     order: str | None = None
     """One of `ORDERS`, of quaternions."""
+    body_from_camera: Array | None = None
+    """4 x 4, if the poses are those of a body that carries the camera."""
 
     @property
     def words(self) -> str:
@@ -48,14 +51,16 @@ class Convention:
         """Rigid motions (n, 4, 4) of this convention as world_from_camera in our axes."""
         if self.maps == "camera_from_world":
             matrices = np.array([inverse(matrix) for matrix in matrices]).reshape(-1, 4, 4)
+        if self.body_from_camera is not None:
+            matrices = matrices @ self.body_from_camera
         return np.asarray(matrices * np.array([*AXES[self.axes or "mitsuba"], 1.0]))
 
 
-def parse_convention(text: str | None) -> Convention:
+def parse_convention(text: str | None, body_from_camera: ArrayLike | None = None) -> Convention:
     """Of words such as "opencv", or "opengl camera_from_world wxyz", separated by blanks or commas.
 
     Raises:
-        PoseError: a word is unknown, or two contradict each other.
+        PoseError: a word is unknown, two contradict each other, or body_from_camera is no rigid motion.
     """
     found: dict[str, str] = {}
     for word in filter(None, re.split(r"[\s,]+", (text or "").strip().lower())):
@@ -68,7 +73,8 @@ def parse_convention(text: str | None) -> Convention:
             raise PoseError(f"the convention {word!r} is not known; {hint}")
         if found.setdefault(kind, word) != word:
             raise PoseError(f"the convention {text!r} says both {found[kind]} and {word}")
-    return Convention(**found)
+    body = None if body_from_camera is None else as_pose(body_from_camera, "body_from_camera")
+    return Convention(found.get("axes"), found.get("maps"), found.get("order"), body)
 
 
 def settled(given: Convention, custom: Convention, where: str, *, fixed: bool) -> Convention:
@@ -88,8 +94,11 @@ def settled(given: Convention, custom: Convention, where: str, *, fixed: bool) -
     for mine, theirs in ((given.axes, custom.axes), (given.maps, custom.maps), (given.order, custom.order)):
         if fixed and mine is not None and mine != theirs:
             raise PoseError(f"{where} is {custom.words} by definition; leave {mine} out of the convention")
+    if fixed and given.body_from_camera is not None:
+        raise PoseError(f"{where} has the camera's own poses; leave body_from_camera out")
     return Convention(
         given.axes or custom.axes,
         given.maps or custom.maps,
         given.order or custom.order,
+        given.body_from_camera,
     )

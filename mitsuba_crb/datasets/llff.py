@@ -37,6 +37,8 @@ def llff_poses(array: NDArray[Any], path: Path, given: Convention, names: Sequen
     for word in (given.axes, given.maps, given.order):
         if word not in (None, "world_from_camera"):
             raise PoseError(f"{path} is {_WORDS} by definition; leave {word} out of the convention")
+    if given.body_from_camera is not None:
+        raise PoseError(f"{path} has the camera's own poses; leave body_from_camera out")
     matrices = array[:, :15].reshape(-1, 3, 5).astype(np.float64)
     down, right, back, centre = np.moveaxis(matrices[:, :, :4], 2, 0)
     ours = np.stack([-right, -down, -back, centre], axis=2)

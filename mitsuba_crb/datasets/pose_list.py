@@ -56,6 +56,7 @@ def listed(
     notes: tuple[str, ...] = (),
     cameras: Sequence[str] = (),
     more: str = "",
+    body: bool = False,
     fixed: bool = False,
 ) -> Poses:
     """Poses in our convention, with a sentence on theirs and on whence it is known.
@@ -68,6 +69,7 @@ def listed(
         poses: (n, 4, 4) in their own convention.
         names: see `Poses`, as `notes` and `cameras`.
         more: ends the sentence.
+        body: the poses are those of a body that carries the camera.
         fixed: the format defines its convention.
 
     Raises:
@@ -75,6 +77,10 @@ def listed(
     """
     convention = settled(given, custom, str(file), fixed=fixed)
     known = "" if fixed else ", as given" if given.axes else ", by custom, as the file does not say"
+    if convention.body_from_camera is not None:
+        known += "; of a body, and carried to its camera by body_from_camera"
+    elif body:
+        known += "; of the body, not of a camera: give body_from_camera of its calibration"
     words = f"{convention.words}{known}{more}"
     return Poses(convention.ours(poses), tuple(names), form, words, tuple(cameras), notes)
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..errors import PoseError
 from ..files import read_array, read_bytes, read_json, read_text
@@ -36,6 +37,7 @@ def load_poses(
     convention: str | None = None,
     *,
     dataparser: str | os.PathLike[str] | None = None,
+    body_from_camera: ArrayLike | None = None,
 ) -> Poses:
     """The poses in a file, as world_from_camera in our axes.
 
@@ -46,13 +48,20 @@ def load_poses(
             the poses map (world_from_camera, camera_from_world) and a quaternion's order (xyzw, wxyz).
         dataparser: nerfstudio's `dataparser_transforms.json`, for poses of a transforms.json in the trained
             model's world; default: the one beside the file, if there is one.
+        body_from_camera: 4 x 4, of poses of a body, in the camera's axes of the convention: EuRoC's T_BS, or
+            the inverse of Kalibr's T_cam_imu.
 
     Raises:
         PoseError: the file is of none of these formats or is damaged, a pose is no rigid motion, or the
             convention contradicts the file.
     """
     file = _file(Path(path))
-    given = parse_convention(convention)
+    given = parse_convention(convention, body_from_camera)
+    if dataparser is not None:
+        document = read_json(file, PoseError)
+        if not is_transforms(document):
+            raise PoseError(f"{file} is no transforms.json; leave {dataparser} out")
+        return transforms_poses(document, file, given, Path(dataparser))
     data = read_bytes(file, PoseError)
     if data.startswith(b"\x93NUMPY"):
         return _of_array(read_array(file, PoseError), file, given)
@@ -67,9 +76,7 @@ def load_poses(
     if line is None:
         raise PoseError(f"{file} is empty; expected poses: {KNOWN}")
     if line.startswith(("{", "[")):
-        return _of_document(
-            read_json(file, PoseError), file, given, None if dataparser is None else Path(dataparser)
-        )
+        return _of_document(read_json(file, PoseError), file, given)
     if is_cameras_text(line):
         raise PoseError(f"{file} lists cameras, not poses; give images.txt, or the model's folder")
     if is_images_text(line) or re.search(r"^#.*\bIMAGE_ID\b.*\bQW\b", text, re.MULTILINE):
@@ -87,9 +94,9 @@ def _file(path: Path) -> Path:
     return model_file(path, "images", PoseError)
 
 
-def _of_document(document: Any, file: Path, given: Convention, dataparser: Path | None) -> Poses:
+def _of_document(document: Any, file: Path, given: Convention) -> Poses:
     if is_transforms(document):
-        return transforms_poses(document, file, given, dataparser)
+        return transforms_poses(document, file, given)
     if is_inria(document):
         return inria_poses(document, file, given)
     try:

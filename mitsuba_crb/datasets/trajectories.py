@@ -117,7 +117,7 @@ def _quaternions(
         poses=poses,
         names=[str(k) if columns.time is None else words[columns.time] for k, (_, words) in enumerate(rows)],
         notes=notes,
-        more="; the body's pose: multiply it by the calibration's body_from_camera" if columns.euroc else "",
+        body=columns.euroc,
     )
 
 

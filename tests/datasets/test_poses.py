@@ -187,6 +187,30 @@ class TestConvention:
         assert ("body" in read.convention) == (form == "EuRoC")
 
 
+class TestBody:
+    BODY_FROM_CAMERA = se3.exp([0.1, -0.2, 0.3, 1.0, -2.0, 0.5])
+
+    @pytest.mark.parametrize("form", ["EuRoC", "TUM"])
+    def test_its_poses_are_carried_to_the_camera(self, form: str, tmp_path: Path) -> None:
+        bodies = POSES @ DOWN @ np.linalg.inv(self.BODY_FROM_CAMERA) @ DOWN
+        read = load_poses(written(tmp_path, FILES[form](bodies)), body_from_camera=self.BODY_FROM_CAMERA)
+        np.testing.assert_allclose(read.poses, POSES, rtol=0, atol=1e-14)
+        assert "carried to its camera" in read.convention
+
+    def test_of_the_inverse_too(self, tmp_path: Path) -> None:
+        inverses = np.linalg.inv(POSES @ np.linalg.inv(self.BODY_FROM_CAMERA))
+        path = written(tmp_path, array(inverses))
+        read = load_poses(path, "camera_from_world", body_from_camera=self.BODY_FROM_CAMERA)
+        np.testing.assert_allclose(read.poses, POSES, rtol=0, atol=1e-14)
+
+    def test_cameras_own_poses_need_none(self, tmp_path: Path) -> None:
+        for form in ("COLMAP text", "LLFF", "INRIA", "transforms.json"):
+            with pytest.raises(PoseError, match="leave body_from_camera out"):
+                load_poses(written(tmp_path, FILES[form](POSES)), body_from_camera=self.BODY_FROM_CAMERA)
+        with pytest.raises(PoseError, match="body_from_camera contains a scale"):
+            load_poses(written(tmp_path, euroc(POSES)), body_from_camera=np.diag([2.0, 2.0, 2.0, 1.0]))
+
+
 class TestNerfstudio:
     APPLIED = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0.5]])
 
@@ -211,6 +235,8 @@ class TestNerfstudio:
         read = load_poses(path, dataparser=parser)
         np.testing.assert_allclose(read.poses, expected, atol=1e-14)
         assert "parser.json" in read.convention
+        with pytest.raises(PoseError, match="leave .* out"):
+            load_poses(written(tmp_path, json.dumps(POSES.tolist()), "list.json"), dataparser=parser)
         parser.rename(tmp_path / "dataparser_transforms.json")
         np.testing.assert_array_equal(load_poses(path).poses, read.poses)
 
