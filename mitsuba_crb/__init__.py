@@ -45,6 +45,9 @@ if TYPE_CHECKING:
     from .measure.displaced import hcr_bound as hcr_bound
     from .measure.pose import pose_bound as pose_bound
     from .measure.pose import pose_jacobian as pose_jacobian
+    from .measure.pose_table import PoseTable as PoseTable
+    from .measure.poses import pose_bounds as pose_bounds
+    from .measure.poses import pose_table as pose_table
     from .measure.tiles import tile_information as tile_information
     from .render.scene import SceneFile as SceneFile
     from .render.scene import load_scene as load_scene
@@ -70,6 +73,9 @@ _HOME = {
     "hcr_bound": "measure.displaced",
     "pose_bound": "measure.pose",
     "pose_jacobian": "measure.pose",
+    "PoseTable": "measure.pose_table",
+    "pose_bounds": "measure.poses",
+    "pose_table": "measure.poses",
     "InformationFilter": "agents.information_filter",
     "tile_information": "measure.tiles",
     "PosePrior": "bound.prior",

@@ -44,6 +44,7 @@ from mitsuba_crb.information.significance import no_information
 from mitsuba_crb.measure.check import JacobianCheck, MethodCheck
 from mitsuba_crb.measure.diagnosis import Diagnosis, Row
 from mitsuba_crb.measure.pictures import pictures_of
+from mitsuba_crb.measure.pose_table import PoseTable
 from mitsuba_crb.measure.report import BoundReport
 from mitsuba_crb.measure.teams import TeamFusion, TeamSelection
 from mitsuba_crb.noise import Gaussian
@@ -160,6 +161,9 @@ def _bounds(rng: np.random.Generator) -> Iterator[Record]:
     found = bounds(rng)
     yield from found.values()
     yield from (to_coordinates(bound, "centre_rotation") for bound in found.values())
+    table = PoseTable.of(list(found.values()))
+    yield from table.rows
+    yield table
     twists = 1e-3 * rng.normal(size=(3, 6))
     hcr = hammersley_chapman_robbins(found["rank 4"].information, twists, np.eye(3), rng.normal(size=(3, 6)))
     yield hcr

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 from ..errors import TrialError
-from ..files import atomic, read_json
+from ..files import atomic, changes, read_json
 from .optimisers import Status
 from .trial import Trial
 
@@ -82,25 +82,13 @@ def resumed(record: EarlierRun | None, settings: dict[str, Any]) -> dict[int, Tr
     if record is None:
         return {}
     file, before, found = record
-    changed = _changes(before, json.loads(json.dumps(settings)))
+    changed = changes(before, json.loads(json.dumps(settings)))
     if changed:
         raise TrialError(
             f"{file} holds trials with {', '.join(changed)}; name another file, or use the same settings to "
             "resume"
         )
     return {trial.index: trial for trial in found}
-
-
-def _changes(before: dict[str, Any], now: dict[str, Any], of: str = "") -> list[str]:
-    """What differs between two tables of settings, in words."""
-    found = []
-    for name in dict.fromkeys((*now, *before)):
-        old, new = before.get(name), now.get(name)
-        if isinstance(old, dict) and isinstance(new, dict):
-            found += _changes(old, new, f"{of}{name}.")
-        elif old != new:
-            found.append(f"{of}{name} = {old!r}, not {new!r}")
-    return found
 
 
 def write_record(file: Path, settings: Mapping[str, Any], trials: Mapping[int, Trial]) -> None:

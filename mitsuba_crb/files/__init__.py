@@ -16,6 +16,7 @@ from .schema import Table as Table
 from .schema import checked as checked
 from .schema import expected as expected
 from .schema import refused as refused
+from .settings import changes as changes
 from .writing import atomic as atomic
 from .writing import jsonable as jsonable
 from .writing import temporary_path as temporary_path

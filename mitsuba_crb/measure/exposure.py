@@ -35,10 +35,11 @@ RELATIVE_SIGMA = 0.01
 """Standard deviation of the default noise, as a fraction of white."""
 MIDDLE_GREY = 0.18
 """What the log-average is exposed to, as a fraction of white."""
+GRID = 64
+"""Pixels across and down that are metered."""
 
 _LIT = 1e-4
 _PERCENTILE = 99.0
-_GRID = 64
 _SPP = 64
 _BATCHES = 4
 
@@ -89,13 +90,16 @@ def exposed(values: NDArray[np.float64], variances: NDArray[np.float64] | None =
     return Exposure(float(whites[rule]), rule)
 
 
-def start_metering(view: Measurable, seed: int) -> Callable[[], NDArray[np.float64]]:
+def start_metering(view: Measurable, seed: int, side: int = GRID) -> Callable[[], NDArray[np.float64]]:
     """Start to render a coarse grid of pixels.
+
+    Args:
+        side: pixels across and down, at most `GRID`, where the image has so many.
 
     Returns:
         What waits for its values [radiance] and the variances of their errors, (2, n, channels).
     """
-    grid = coarse_grid(view.size, _GRID).reshape(-1, 2)
+    grid = coarse_grid(view.size, min(side, GRID)).reshape(-1, 2)
     finish = view.start_image(grid, Paths(_SPP, seed, _BATCHES), purpose=PILOT, even=True)
 
     def metered() -> NDArray[np.float64]:

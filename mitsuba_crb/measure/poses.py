@@ -1,0 +1,301 @@
+"""The bounds of one camera at many poses: the scene is loaded once, its kernels are traced once.
+
+Each bound is that of `pose_bound` at its pose, with the same random numbers, bit for bit: it depends neither
+on the other poses nor on their order. The one thing that they share is the default camera's exposure, from
+their pooled pixels (design section 11). So a run can stop after any pose and go on later.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+import os
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol, Unpack
+
+import numpy as np
+
+from .. import se3
+from ..bound.cramer_rao import PoseBound
+from ..bound.prior import load_prior
+from ..errors import MitsubaCRBError, NoiseError, PoseError
+from ..files import jsonable
+from ..noise import NoiseModel
+from ..render.fingerprint import fingerprint, mask_fingerprint
+from ..render.lending import in_turn
+from ..render.scene import SceneFile, as_scene
+from ..se3 import Array, Frame
+from .exposure import exposed, start_metering
+from .mitsuba_view import open_measurable, wanted
+from .nuisances import name_parameters
+from .options import MeasurementKeywords, MeasurementOptions
+from .pose import pose_bound
+from .pose_table import PoseRow, PoseTable
+from .versions import versions
+
+Progress = Callable[[int, int], None]
+"""Called after each pose with the poses done and all of them."""
+
+_POOLED = 1 << 16
+"""Pixels that the exposure is taken from, at least."""
+_COARSEST = 16
+_BLACK = 1.0
+"""White of a camera that sees nothing anywhere: its information is zero whatever that is."""
+_LONGEST = 200
+"""Letters of a setting that is told as it is; of a longer one its fingerprint."""
+_INDIFFERENT = ("pose", "tile", "on_tile", "on_progress", "on_round")
+"""Options that no row depends on."""
+
+
+class PoseRecord(Protocol):
+    """Where rows are kept as they are done, so that an interrupted run goes on."""
+
+    def earlier(self) -> dict[str, Any] | None:
+        """The settings of an earlier run; None if there was none."""
+
+    def resume(self, settings: dict[str, Any], poses: Sequence[Array]) -> dict[int, PoseRow]:
+        """The rows of an earlier run by their place; it must have had the same settings."""
+
+    def add(self, index: int, row: PoseRow, bound: PoseBound) -> None:
+        """Keep one more row for good."""
+
+
+@in_turn
+def pose_bounds(
+    scene: Any,
+    poses: Sequence[Any],
+    noise: NoiseModel | None = None,
+    *,
+    prior: Any = None,
+    nuisances: Sequence[str] = (),
+    on_pose: Progress | None = None,
+    **options: Unpack[MeasurementKeywords],
+) -> list[PoseBound]:
+    """The Cramér–Rao bounds at many poses; `PoseTable.of` makes a table of them.
+
+    Args:
+        scene: as for `pose_bound`.
+        poses: `world_from_camera` of each, (n, 4, 4) or a sequence of what `se3.as_pose` takes.
+        noise: as for `pose_bound`; None is that of one camera for all poses, exposed for their pooled pixels,
+            or with `exposure="auto"` for each. Where all is black, white is 1: nothing is seen there.
+        prior, nuisances: as for `pose_bound`, the same at every pose.
+        on_pose: called after each pose.
+        options: see `MeasurementOptions`.
+
+    Returns:
+        `PoseBound`s in the order of the poses. What was warned of stands in their provenance.
+
+    Raises:
+        PoseError: there are no poses, or one is no rigid motion; says which.
+        MitsubaCRBError: as `pose_bound`, the pose named.
+    """
+    named = _checked(poses, None)
+    loaded, _ = _loaded(scene, nuisances, options)
+    white = _white(loaded, [pose for _, pose in named], noise, options)
+    shared = _Shared(loaded, noise, prior, nuisances, _exposed(options, white))
+    found = []
+    for index, (name, pose) in enumerate(named):
+        found.append(shared.bound(name, pose))
+        if on_pose is not None:
+            on_pose(index + 1, len(named))
+    return found
+
+
+@in_turn
+def pose_table(
+    scene: Any,
+    poses: Sequence[Any],
+    noise: NoiseModel | None = None,
+    *,
+    names: Sequence[str] | None = None,
+    defines: Mapping[str, str] | None = None,
+    prior: Any = None,
+    nuisances: Sequence[str] = (),
+    frame: Frame = "camera",
+    record: PoseRecord | None = None,
+    on_pose: Progress | None = None,
+    **options: Unpack[MeasurementKeywords],
+) -> PoseTable:
+    """The bounds at many poses as a table, kept row by row, so that an interrupted run can go on.
+
+    Args:
+        scene, poses, noise, nuisances, options: as for `pose_bounds`.
+        names: of the poses; None: their places, counted from 0.
+        defines: the scene file's `<default>`s.
+        prior: as for `pose_bound`, or its file.
+        frame: of the matrices that the record is given.
+        record: what is asked for rows that are done, and given every new one.
+        on_pose: called before the first pose, with what is done, and after each.
+
+    Returns:
+        `PoseTable`, without the rows that are missing if it was interrupted (Ctrl-C).
+
+    Raises:
+        PriorError: an impossible prior.
+        MitsubaCRBError: as `pose_bounds`; the record's own if an earlier run had other settings.
+        KeyboardInterrupt: before the first row was done.
+    """
+    checked = _checked(poses, names)
+    matrices = [pose for _, pose in checked]
+    source = SceneFile(scene, dict(defines or {})) if isinstance(scene, str | Path) else scene
+    known = load_prior(prior) if isinstance(prior, Path) else prior
+    loaded, label = _loaded(source, nuisances, options)
+    settings = {
+        "scene": label,
+        "scene_contents": fingerprint(loaded, scene, defines),
+        "defines": dict(defines or {}),
+        "poses": {"count": len(checked), "contents": _poses_fingerprint(checked)},
+        **_options_said(options),
+        "noise": _said(noise),
+        "prior": _said(prior),
+        "nuisances": list(nuisances),
+        "frame": frame,
+        "versions": versions(),
+    }
+    before = record.earlier() if record is not None else None
+    if before is not None and before.get("white") is not None:
+        settings["white"] = before["white"]  # of the same poses, if all else is the same
+    else:
+        settings["white"] = _white(loaded, matrices, noise, options)
+    rows = record.resume(settings, matrices) if record is not None else {}
+    facts = {"scene": label, "defines": settings["defines"]}
+    if isinstance(prior, Path):
+        facts["prior"] = str(prior)
+    shared = _Shared(loaded, noise, known, nuisances, _exposed(options, settings["white"]))
+    if on_pose is not None:
+        on_pose(len(rows), len(checked))
+    try:
+        for index, (name, pose) in enumerate(checked):
+            if index in rows:
+                continue
+            bound = shared.bound(name, pose).to_frame(frame)
+            bound = dataclasses.replace(bound, provenance={**bound.provenance, **facts})
+            row = PoseRow.of(name, bound)
+            if record is not None:
+                record.add(index, row, bound)
+            rows[index] = row
+            if on_pose is not None:
+                on_pose(len(rows), len(checked))
+    except KeyboardInterrupt:
+        if not rows:
+            raise
+    places = tuple(sorted(rows))
+    return PoseTable(tuple(rows[place] for place in places), places, len(checked), settings)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Shared:
+    """What the bounds of all poses are measured with."""
+
+    scene: Any
+    noise: NoiseModel | None
+    prior: Any
+    nuisances: Sequence[str]
+    options: MeasurementKeywords
+
+    def bound(self, name: str, pose: Array) -> PoseBound:
+        """At one pose.
+
+        Raises:
+            KeyboardInterrupt: also where `pose_bound` would have answered with what it had.
+        """
+        options: MeasurementKeywords = {**self.options, "pose": pose}
+        with warnings.catch_warnings():  # they stand in the provenance
+            warnings.simplefilter("ignore")
+            try:
+                try:
+                    found = self._measured(options)
+                except NoiseError:
+                    if self.noise is not None or options.get("exposure") != "auto":
+                        raise
+                    found = self._measured({**options, "exposure": _BLACK})  # black, and set by itself
+            except MitsubaCRBError as error:
+                raise type(error)(f"pose {name!r}: {error}") from error
+        if found.provenance.get("sampling", {}).get("interrupted"):
+            raise KeyboardInterrupt
+        return found
+
+    def _measured(self, options: MeasurementKeywords) -> PoseBound:
+        return pose_bound(self.scene, self.noise, prior=self.prior, nuisances=self.nuisances, **options)
+
+
+def _checked(poses: Sequence[Any], names: Sequence[str] | None) -> list[tuple[str, Array]]:
+    """Names and rigid motions."""
+    if isinstance(poses, str | Path):
+        raise PoseError(f"poses are matrices, not the file {str(poses)!r}: read it first")
+    count = len(poses)
+    if not count:
+        raise PoseError("there are no poses")
+    named = [str(index) for index in range(count)] if names is None else [str(name) for name in names]
+    if len(named) != count:
+        raise PoseError(f"{count} poses have {len(named)} names")
+    for name in named:
+        if not name.isprintable():
+            raise PoseError(f"the name {name!r} of a pose does not fit on a line")
+    return [
+        (name, se3.as_pose(pose, f"pose {name!r} ({index + 1} of {count})"))
+        for index, (name, pose) in enumerate(zip(named, poses, strict=True))
+    ]
+
+
+def _loaded(scene: Any, nuisances: Sequence[str], options: MeasurementKeywords) -> tuple[Any, str]:
+    asked = dataclasses.replace(wanted(MeasurementOptions(**options)), apart=name_parameters(nuisances))
+    return as_scene(scene, asked)
+
+
+def _exposed(options: MeasurementKeywords, white: float | None) -> MeasurementKeywords:
+    return options if white is None else {**options, "exposure": white}
+
+
+def _white(
+    loaded: Any, poses: Sequence[Array], noise: NoiseModel | None, options: MeasurementKeywords
+) -> float | None:
+    """That of the default camera, from all poses' pixels; None if it is not asked for.
+
+    The more poses, the fewer pixels of each.
+    """
+    if noise is not None or options.get("exposure") is not None:
+        return None
+    side = max(_COARSEST, math.ceil(math.sqrt(_POOLED / len(poses))))
+    there: MeasurementKeywords = {**options, "pose": poses[0]}
+    given = MeasurementOptions(**there)
+    with open_measurable(loaded, given) as view:
+        parts = [start_metering(view.at(pose), given.seed, side)().reshape(2, -1) for pose in poses]
+    # In an order that is not that of the poses, for sums of floats depend on it.
+    found = exposed(*np.concatenate(sorted(parts, key=lambda part: part.tobytes()), axis=1))
+    return _BLACK if found is None else found.white
+
+
+def _options_said(options: MeasurementKeywords) -> dict[str, Any]:
+    """The options that rows depend on, with their defaults, JSON-able."""
+    given = MeasurementOptions(**options)
+    names = [field.name for field in dataclasses.fields(given) if field.name not in _INDIFFERENT]
+    return {name: _said(getattr(given, name)) for name in names}
+
+
+def _said(value: Any) -> Any:
+    """A setting as JSON can hold it; of what is long, and of files, a fingerprint."""
+    if isinstance(value, np.ndarray):
+        return mask_fingerprint(value)
+    if isinstance(value, str | Path) and os.path.isfile(value):
+        return {"file": str(value), "contents": hashlib.sha256(Path(value).read_bytes()).hexdigest()[:16]}
+    try:
+        plain = jsonable(value.to_dict() if hasattr(value, "to_dict") else value)
+        text = json.dumps(plain)
+    except (TypeError, ValueError):
+        plain = text = str(value)
+    if len(text) <= _LONGEST:
+        return plain
+    kind = {"model": plain["model"]} if isinstance(plain, dict) and "model" in plain else {}
+    return {**kind, "contents": hashlib.sha256(text.encode()).hexdigest()[:16]}
+
+
+def _poses_fingerprint(named: Sequence[tuple[str, Array]]) -> str:
+    digest = hashlib.sha256()
+    for name, pose in named:
+        digest.update(name.encode() + b"\0" + pose.tobytes())
+    return digest.hexdigest()[:16]
