@@ -10,17 +10,20 @@ import typer
 from ..measure.options import MeasurementOptions
 from .options import (
     Batches,
+    Convention,
+    CsvFile,
     Debug,
     Define,
     DropInvalid,
     Exposure,
     Integrator,
-    JsonFile,
     MaxSpp,
     Method,
     NoClip,
+    ParquetFile,
     Pixels,
     Pose,
+    Poses,
     Precision,
     Scene,
     Seed,
@@ -31,12 +34,15 @@ from .options import (
     Variant,
 )
 from .outcome import answered, foreseen, measuring
+from .poses import bound_poses, check_pose_options
 
 
 def bound(
     scene: Scene,
     sensor: Sensor = "0",
     pose: Pose = None,
+    poses: Poses = None,
+    convention: Convention = None,
     method: Method = MeasurementOptions.method,
     spp: Spp = None,
     precision: Precision = None,
@@ -92,20 +98,32 @@ def bound(
             metavar="FILE", help="Of --hcr: six numbers a row, camera-frame twists; default: along its axes."
         ),
     ] = None,
-    json_file: JsonFile = None,
+    json_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--json",
+            metavar="FILE",
+            help="Write everything as JSON; with --poses a line as each is done, and resumes what is there.",
+        ),
+    ] = None,
+    csv_file: CsvFile = None,
+    parquet_file: ParquetFile = None,
     exr_file: Annotated[
         Path | None,
         typer.Option("--exr", metavar="FILE", help="Write the image and six Jacobian columns as OpenEXR."),
     ] = None,
     plot_file: Annotated[
-        Path | None, typer.Option("--plot", metavar="FILE", help="Write a page of pictures as PNG.")
+        Path | None,
+        typer.Option(
+            "--plot", metavar="FILE", help="Write a page of pictures as PNG; with --poses, of the path."
+        ),
     ] = None,
     variant: Variant = None,
     debug: Debug = False,
 ) -> int:
-    """The Cramér–Rao bound on the camera's pose.
+    """The Cramér–Rao bound on the camera's pose, or at many poses.
 
-    Exit code 130 if it was interrupted; the answer is then that of the rounds before.
+    Exit code 130 if it was interrupted; the answer is then that of the rounds or the poses before.
     """
     with foreseen(debug, variant):
         from ..export.targets import check_targets
@@ -118,6 +136,11 @@ def bound(
             view_options,
         )
 
+        check_pose_options(
+            poses,
+            single={"--pose": pose, "--hcr": hcr, "--exr": exr_file},
+            many={"--convention": convention, "--csv": csv_file, "--parquet": parquet_file},
+        )
         options = view_options(
             sensor=sensor,
             pose=pose,
@@ -134,9 +157,17 @@ def bound(
         options |= {"exposure": parse_exposure(exposure), "clip": not no_clip}
         defines = parse_defines(define)
         noise = parse_noise(sigma, noise_file)
-        inputs = [*view_files(scene, pose, pixels), *filter(None, [prior, noise_file, displacements])]
-        check_targets({"--json": json_file, "--exr": exr_file, "--plot": plot_file}, inputs)
         twists = parse_displacements(displacements, hcr=hcr)
+        given = [poses, prior, noise_file, displacements]
+        inputs = [*view_files(scene, pose, pixels), *(file for file in given if file is not None)]
+        targets = {"--json": json_file, "--csv": csv_file, "--parquet": parquet_file}
+        targets |= {"--exr": exr_file, "--plot": plot_file}
+        check_targets(targets, inputs, resumed=() if poses is None else ("--json", "--csv"))
+        options |= {"prior": prior, "nuisances": marginalize or (), "frame": frame, "method": method}
+        if poses is not None:
+            files = {"json_file": json_file, "csv_file": csv_file}
+            files |= {"parquet_file": parquet_file, "plot_file": plot_file}
+            return bound_poses(scene, poses, convention, noise=noise, defines=defines, **files, **options)
 
         from ..export.documents import bound_document, write_json
         from ..export.exr import write_exr
@@ -148,13 +179,9 @@ def bound(
                 scene,
                 noise,
                 defines=defines,
-                prior=prior,
-                nuisances=marginalize or (),
-                frame=frame,
                 hcr=hcr,
                 displacements=twists,
                 pictures=bool(exr_file or plot_file),
-                method=method,
                 on_progress=bar,
                 on_round=bar.after,
                 **options,

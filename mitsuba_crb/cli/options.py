@@ -25,6 +25,32 @@ Camera = Annotated[
         "or TOML; NAME is one of several cameras in it.",
     ),
 ]
+Poses = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Many poses, a row of the table each: TUM, KITTI, EuRoC, COLMAP, transforms.json, LLFF, "
+        ".npy (N,4,4) and others, told apart by what is in them.",
+    ),
+]
+Convention = Annotated[
+    str | None,
+    typer.Option(
+        metavar="C",
+        help='Of --poses, where the file cannot tell: such as "opencv camera_from_world"; see '
+        "`mitsuba_crb.datasets.poses`.",
+    ),
+]
+CsvFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--csv", metavar="FILE", help="Of --poses: write a row as each is done; resumes what is there."
+    ),
+]
+ParquetFile = Annotated[
+    Path | None,
+    typer.Option("--parquet", metavar="FILE", help="Of --poses: write the same table as Parquet."),
+]
 Method = Annotated[str, typer.Option(metavar="M", help="How the Jacobian is measured.")]
 Spp = Annotated[
     int | None,

@@ -109,7 +109,7 @@ def validate(
         options |= {"exposure": parse_exposure(exposure)}
         defines = parse_defines(define)
         inputs = view_files(scene, pose, pixels)
-        check_targets({"--json": json_file, "--plot": plot_file}, inputs, resumed="--json")
+        check_targets({"--json": json_file, "--plot": plot_file}, inputs, resumed=("--json",))
 
         from ..estimate.trials import validate as run_trials
         from ..export.documents import validation_document, write_json

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 JSON_START = '{"index": '
 CSV_START = "index,name,"
+BEGINNINGS = (JSON_START.encode(), CSV_START.encode())
+"""How a file of either kind begins."""
 _ADVICE = "name another file, or use the same settings and poses to resume"
 
 
@@ -83,8 +85,8 @@ class PoseFiles:
         Raises:
             OutputError: one is there, and is something else.
         """
-        self._json = None if json_file is None else _read(json_file, "lines of JSON", _read_json)
-        self._csv = None if csv_file is None else _read(csv_file, "CSV", _read_csv)
+        self._json = None if json_file is None else _read(json_file, _read_json)
+        self._csv = None if csv_file is None else _read(csv_file, _read_csv)
 
     @property
     def _files(self) -> list[_Lines]:
@@ -179,17 +181,11 @@ def parquet_library() -> tuple[Any, Any]:
         raise OutputError("--parquet needs arro3: pip install 'mitsuba_crb[parquet]'") from None
 
 
-def holds_bounds(path: Path) -> bool:
-    """Whether a file is such a record."""
-    with path.open("rb") as file:
-        return file.read(len(CSV_START)).startswith((JSON_START.encode(), CSV_START.encode()))
-
-
 def _columns(index: int, row: PoseRow, settings: dict[str, Any]) -> dict[str, str | int | float]:
     return {"index": index, **row.columns(), "settings": json.dumps(jsonable(settings), ensure_ascii=False)}
 
 
-def _read(path: Path, kind: str, read: Callable[[_Lines, str], None]) -> _Lines:
+def _read(path: Path, read: Callable[[_Lines, str], None]) -> _Lines:
     lines = _Lines(path)
     try:
         text = lines.text()
@@ -197,7 +193,7 @@ def _read(path: Path, kind: str, read: Callable[[_Lines, str], None]) -> _Lines:
             read(lines, text)
     except (ArithmeticError, KeyError, TypeError, ValueError) as error:
         raise OutputError(
-            f"{path} exists and is no {kind} of bounds at poses ({error}); name another file"
+            f"{path} exists and is no record of bounds at poses ({error}); name another file"
         ) from error
     return lines
 
@@ -207,7 +203,7 @@ def _begins(path: Path) -> bool:
     if not os.path.lexists(path):
         return True
     start = path.read_bytes()
-    return any(ours.startswith(start[: len(ours)]) for ours in (JSON_START.encode(), CSV_START.encode()))
+    return any(ours.startswith(start[: len(ours)]) for ours in BEGINNINGS)
 
 
 def _read_json(lines: _Lines, text: str) -> None:

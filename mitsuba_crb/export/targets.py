@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from ..errors import OutputError
@@ -11,20 +11,20 @@ from ..files import temporary_path
 
 
 def check_targets(
-    targets: Mapping[str, Path | None], inputs: Sequence[Path] = (), *, resumed: str = ""
+    targets: Mapping[str, Path | None], inputs: Sequence[Path] = (), *, resumed: Collection[str] = ()
 ) -> None:
     """Raise `OutputError` unless every file can be written and no two are one.
 
     Args:
         targets: the files by the names of their options; None is not asked for.
         inputs: as for `check_target`.
-        resumed: the option whose file may hold trials, which are kept.
+        resumed: the options whose files may hold what an earlier run has left, which is kept.
     """
     taken: dict[str, str] = {}
     for option, path in targets.items():
         if path is None:
             continue
-        check_target(path, option, inputs, resumes=option == resumed)
+        check_target(path, option, inputs, resumes=option in resumed)
         other = taken.setdefault(os.path.realpath(path), option)
         if other != option:
             raise OutputError(f"{option} and {other} both name {path}; give each a file of its own")
@@ -37,7 +37,7 @@ def check_target(path: Path, option: str, inputs: Sequence[Path] = (), *, resume
         path: the file to be written.
         option: the option's name, for the message.
         inputs: files that this run reads, and that must not be overwritten.
-        resumes: whether this run keeps the trials that the file holds.
+        resumes: whether this run keeps what the file holds of an earlier one.
     """
     target = Path(os.path.realpath(path)) if os.path.islink(path) else path
     folder = target.parent
@@ -52,8 +52,9 @@ def check_target(path: Path, option: str, inputs: Sequence[Path] = (), *, resume
             raise OutputError(
                 f"{option} {path}: this would overwrite an input of this run; name another file"
             )
-    if not resumes and os.path.isfile(path) and _holds_trials(path):
-        raise OutputError(f"{option} {path}: this holds trials that would be lost; name another file")
+    held = "" if resumes or not os.path.isfile(path) else _held(path)
+    if held:
+        raise OutputError(f"{option} {path}: this holds {held} that would be lost; name another file")
     # asking by writing: permission bits say nothing about root, read-only mounts and quotas
     probe = temporary_path(target)
     try:
@@ -65,11 +66,16 @@ def check_target(path: Path, option: str, inputs: Sequence[Path] = (), *, resume
         ) from error
 
 
-def _holds_trials(path: Path) -> bool:
+def _held(path: Path) -> str:
+    """What a run can be resumed from, in words; empty if it is something else."""
     from ..estimate.trial_record import SCHEMA as TRIALS  # late: it imports what measures
+    from .pose_files import BEGINNINGS
 
     with path.open("rb") as file:
-        return TRIALS.rpartition("/")[0].encode() in file.read(100)
+        start = file.read(100)
+    if TRIALS.rpartition("/")[0].encode() in start:
+        return "trials"
+    return "bounds of many poses" if start.startswith(BEGINNINGS) else ""
 
 
 def check_folder(path: Path, option: str) -> None:

@@ -22,7 +22,7 @@ import numpy as np
 from .. import se3
 from ..bound.cramer_rao import PoseBound
 from ..bound.prior import load_prior
-from ..errors import MitsubaCRBError, NoiseError, PoseError
+from ..errors import MitsubaCRBError, NoiseError, OptionError, PoseError
 from ..files import jsonable
 from ..noise import NoiseModel
 from ..render.fingerprint import fingerprint, mask_fingerprint
@@ -67,7 +67,7 @@ class PoseRecord(Protocol):
 @in_turn
 def pose_bounds(
     scene: Any,
-    poses: Sequence[Any],
+    poses: Sequence[Any] | Array,
     noise: NoiseModel | None = None,
     *,
     prior: Any = None,
@@ -94,6 +94,7 @@ def pose_bounds(
         MitsubaCRBError: as `pose_bound`, the pose named.
     """
     named = _checked(poses, None)
+    _without_pose(options)
     loaded, _ = _loaded(scene, nuisances, options)
     white = _white(loaded, [pose for _, pose in named], noise, options)
     shared = _Shared(loaded, noise, prior, nuisances, _exposed(options, white))
@@ -108,7 +109,7 @@ def pose_bounds(
 @in_turn
 def pose_table(
     scene: Any,
-    poses: Sequence[Any],
+    poses: Sequence[Any] | Array,
     noise: NoiseModel | None = None,
     *,
     names: Sequence[str] | None = None,
@@ -140,6 +141,7 @@ def pose_table(
         KeyboardInterrupt: before the first row was done.
     """
     checked = _checked(poses, names)
+    _without_pose(options)
     matrices = [pose for _, pose in checked]
     source = SceneFile(scene, dict(defines or {})) if isinstance(scene, str | Path) else scene
     known = load_prior(prior) if isinstance(prior, Path) else prior
@@ -223,7 +225,7 @@ class _Shared:
         return pose_bound(self.scene, self.noise, prior=self.prior, nuisances=self.nuisances, **options)
 
 
-def _checked(poses: Sequence[Any], names: Sequence[str] | None) -> list[tuple[str, Array]]:
+def _checked(poses: Sequence[Any] | Array, names: Sequence[str] | None) -> list[tuple[str, Array]]:
     """Names and rigid motions."""
     if isinstance(poses, str | Path):
         raise PoseError(f"poses are matrices, not the file {str(poses)!r}: read it first")
@@ -240,6 +242,11 @@ def _checked(poses: Sequence[Any], names: Sequence[str] | None) -> list[tuple[st
         (name, se3.as_pose(pose, f"pose {name!r} ({index + 1} of {count})"))
         for index, (name, pose) in enumerate(zip(named, poses, strict=True))
     ]
+
+
+def _without_pose(options: MeasurementKeywords) -> None:
+    if options.get("pose") is not None:
+        raise OptionError("poses say where the camera is; leave out pose")
 
 
 def _loaded(scene: Any, nuisances: Sequence[str], options: MeasurementKeywords) -> tuple[Any, str]:

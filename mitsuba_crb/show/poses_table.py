@@ -31,8 +31,16 @@ _IN_ROWS = ("not resolved", "the bound on ")
 """How the notes begin that the rows' numbers say as well."""
 
 
-def print_poses(console: Console, table: PoseTable) -> None:
-    """A row for every pose, then how they differ and what they rest on."""
+def print_poses(console: Console, table: PoseTable, source: str = "") -> None:
+    """A row for every pose, then how they differ and what they rest on.
+
+    Args:
+        console: where to.
+        table: of at least one row.
+        source: lines on where the poses come from and in which convention, above it all.
+    """
+    for line in source.splitlines():
+        print_line(console, line)
     size = table.settings.get("size")
     scene = Text(str(table.settings.get("scene", "")).rpartition("/")[2], style="bold")
     pixels = "" if size is None else f"  {size[0]}×{size[1]} pixels"
@@ -141,7 +149,7 @@ def _facts(table: PoseTable) -> list[tuple[str, str]]:
             facts.append(
                 (
                     name,
-                    f"median {np.median(values[seen]):.3g} {unit} (root of the three squares), best "
+                    f"median {np.median(values[seen]):.3g} {unit} (the three axes together), best "
                     f"{values[best]:.3g} at {rows[best].name}, worst finite {values[worst]:.3g} at "
                     f"{rows[worst].name}",
                 )
