@@ -44,6 +44,8 @@ class _Lines:
     """Of the rows that it has."""
     whole: int = 0
     """Bytes up to the end of the last whole line."""
+    size: int = 0
+    """Bytes of the file, as this run knows it."""
 
     def text(self) -> str:
         """Its whole lines."""
@@ -53,7 +55,7 @@ class _Lines:
             data = self.path.read_bytes()
         except OSError as error:
             raise OutputError(f"cannot read {self.path}: {error.strerror or error}") from error
-        self.whole = data.rfind(b"\n") + 1
+        self.whole, self.size = data.rfind(b"\n") + 1, len(data)
         return data[: self.whole].decode()
 
     def keep(self, index: Any, values: dict[str, Any], settings: dict[str, Any]) -> None:
@@ -64,16 +66,23 @@ class _Lines:
         self.values[int(index)] = values
 
     def append(self, text: str) -> None:
-        """Write what comes after the last whole line."""
+        """Write what comes after the last whole line.
+
+        Raises:
+            OutputError: it cannot be written, or somebody else has written meanwhile.
+        """
         data = text.encode()
         try:
             with self.path.open("r+b" if os.path.lexists(self.path) else "xb") as file:
+                if os.fstat(file.fileno()).st_size != self.size:
+                    raise OutputError(f"{self.path} was changed meanwhile; does another run write to it?")
                 file.seek(self.whole)
                 file.truncate()
                 file.write(data)
         except OSError as error:
             raise OutputError(f"cannot write {self.path}: {error.strerror or error}") from error
         self.whole += len(data)
+        self.size = self.whole
 
 
 class PoseFiles:

@@ -66,13 +66,7 @@ def test_a_row_a_pose_is_printed_and_written(path: Path, tmp_path: Path, capsys:
     assert err == ""
     assert out.startswith(f"{path}: 4 poses of ")
     assert "world_from_camera" in out.splitlines()[1]
-    for words in (
-        "textured_wall.xml",
-        "32×24",
-        "6 at 3, 0 at 1",
-        "one exposure for all poses",
-        "note: nothing",
-    ):
+    for words in ("textured_wall.xml", "32×24", "6 at 3, 0 at 1", "one exposure for all poses"):
         assert words in out
     table = rows(files["csv"])
     documents = [json.loads(line) for line in files["json"].read_text().splitlines()]

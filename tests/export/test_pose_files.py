@@ -89,6 +89,16 @@ def test_a_row_that_was_cut_short_is_written_again(files: dict[str, Path]) -> No
     assert contents(files) == whole
 
 
+def test_two_runs_do_not_write_over_each_other(files: dict[str, Path]) -> None:
+    record = PoseFiles(**files)
+    record.resume(SETTINGS, POSES)
+    written(files, 0, 2)
+    before = contents(files)
+    with pytest.raises(OutputError, match="does another run write to it"):
+        record.add(0, PoseRow.of(NAMES[0], BOUNDS[0]), BOUNDS[0])
+    assert contents(files) == before
+
+
 def test_rows_that_the_json_lines_have_and_the_csv_lacks_are_added(tmp_path: Path) -> None:
     both = {"json_file": tmp_path / "a.jsonl", "csv_file": tmp_path / "a.csv"}
     written(both, 0, 3)
