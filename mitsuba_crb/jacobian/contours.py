@@ -165,7 +165,7 @@ class _BlocksTerm:
         piece, start = contours.piece[samples.pair], contours.cumulative[samples.pair]
         share = contours.cumulative[samples.pair + 1] - start
         u = np.clip((samples.target - start) / np.maximum(share, np.finfo(float).tiny), 0.0, 1.0)
-        placed = contours.place(piece, u, samples.point, contours.reach(blocks[samples.owner]))
+        placed = contours.place(piece, u, samples.point, contours.plain_reach(blocks[samples.owner]))
         film = placed.film - film_shift(contours.view.pixel_filter)
         rows, offset = _footprint(contours, slot, blocks, samples.owner, film)
         kept = np.flatnonzero((rows >= 0).any(axis=1) & (placed.length > 0.0) & (share > 0.0))
@@ -197,7 +197,7 @@ class _BlocksTerm:
         light = np.stack([channel[shown] for channel in outside], axis=1, dtype=np.float64)
 
         # (f_fg − f_bg)·m per twist component, times the film length that each sample stands for.
-        slope = placed.normal / contours.camera.scale
+        slope = contours.camera.pulled(placed.seen, placed.normal) / contours.camera.scale
         gradient = np.column_stack([-slope, np.sum(slope * placed.seen[:, :2], axis=1) / placed.seen[:, 2]])
         if contours.twists == 6:
             gradient = np.concatenate([gradient, np.cross(samples.point, gradient)], axis=1)

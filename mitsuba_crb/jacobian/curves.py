@@ -187,13 +187,15 @@ def place(
     camera: Camera,
     edge_side: Callable[[Ints, Floats], Floats],
 ) -> Placed:
-    """One point on each piece: uniform in film arc length on lines, in the parameter on conics.
+    """One point on each piece: uniform in the plain film's arc length on lines, in the parameter on conics.
+
+    On the plain film lines are straight; a lens that distorts carries their points over from there.
 
     Args:
         curves: n pieces.
         u: (n,) in [0, 1).
         point: (n, 3) lens points.
-        box: (n, 4) film rectangle x0 y0 x1 y1 that lines are clipped to [pixel].
+        box: (n, 4) rectangle x0 y0 x1 y1 of the plain film that lines are clipped to [pixel].
         edge_side: of edges (k,) seen from lens points (k, 3): +1 or −1, the side of the plane through lens
             point and edge that all faces lie on, or 0 if they lie on both.
     """
@@ -209,11 +211,12 @@ def place(
         exists &= last > first
         s = first + u[i] * (last - first)
         along = on_film[:, 1] - on_film[:, 0]
-        extent = _length(along)
         depth = 1.0 / ((1.0 - s) / ends[:, 0, 2] + s / ends[:, 1, 2])
-        film[i] = on_film[:, 0] + s[:, None] * along
+        plain = on_film[:, 0] + s[:, None] * along
         seen[i, 2] = depth
-        seen[i, :2] = (camera.scale * film[i] + camera.offset - a[:, :2] / camera.focus) * depth[:, None]
+        seen[i, :2] = (camera.scale * plain + camera.offset - a[:, :2] / camera.focus) * depth[:, None]
+        film[i], along = camera.distorted(plain), camera.stretched(plain, along)
+        extent = _length(along)
         direction[i] = along / np.maximum(extent, np.finfo(float).tiny)[:, None]
         length[i] = np.where(exists, extent * (last - first), 0.0)
         other = np.flatnonzero(part.kind != EDGE)
@@ -263,6 +266,7 @@ def bounds(curves: Curves, camera: Camera) -> tuple[Floats, Floats]:
         ends, _, exists = part.lines(a[line])
         points[line, ::2] = _in_front(ends, a[line], exists, camera)[1]
         points[line, 1] = points[line, ::2].mean(axis=1)
+        points[line] = camera.distorted(points[line])
         part = curves.part(np.flatnonzero(~line))
         for j, t in enumerate((part.span[:, 0], part.span.mean(axis=1), part.span[:, 1])):
             p = part.bows(t, a[~line])[0]
@@ -276,7 +280,8 @@ def bounds(curves: Curves, camera: Camera) -> tuple[Floats, Floats]:
 
 
 def _in_front(ends: Floats, point: Floats, exists: Bools, camera: Camera) -> tuple[Floats, Floats, Bools]:
-    """Lines (n, 2, 3) clipped to the near plane, their ends on the film (n, 2, 2), and which remain."""
+    """Lines (n, 2, 3) clipped to the near plane, ends on the plain film (n, 2, 2), and which remain."""
+    camera = camera.plain
     first, last = (ends[:, j, 2] >= camera.near for j in range(2))
     exists = exists & (np.maximum(ends[:, 0, 2], ends[:, 1, 2]) > camera.near)
     ends = ends.copy()
@@ -315,6 +320,7 @@ def _cut_lines(lines: Curves, camera: Camera, frame: Floats) -> Curves:
     ends, film, exists = _in_front(whole, centre, exists, camera)
     blur = camera.radius * np.abs(1.0 / camera.focus - 1.0 / ends[..., 2]).max(axis=1, initial=0.0)
     margin = blur[:, None] / np.abs(camera.scale)
+    frame = camera.plain_boxes(frame[None])[0]
     first, last = _clip(film, np.concatenate([frame[:2] - margin, frame[2:] + margin], axis=1))
     kept = np.flatnonzero(exists & (last > first))
     first, last, film, ends, whole = (x[kept] for x in (first, last, film, ends, whole))

@@ -107,14 +107,17 @@ def prepare(view: View, film_flows: tuple[FilmFlow, ...] = ()) -> Prepared:
 
 
 def _film_slope(view: View) -> mi.Vector2f:
-    """d(film point)/d(q_x/q_z, q_y/q_z) [pixel], as the sensor's rays through the film's corners have it."""
+    """d(plain film point)/d(q_x/q_z, q_y/q_z) [pixel], as rays through the film's corners have it."""
     import mitsuba as mi
 
-    size = np.array(view.size, dtype=np.float64)
-    film = mi.Point2f(*([0.0, side] for side in view.size))
-    ray, _ = camera_ray(view, film, mi.Point2f(0.5, 0.5))
-    tangent = np.array([ray.d.x / ray.d.z, ray.d.y / ray.d.z], dtype=np.float64)
-    slope = size / (tangent[:, 1] - tangent[:, 0])
+    if view.film_map is None:
+        size = np.array(view.size, dtype=np.float64)
+        film = mi.Point2f(*([0.0, side] for side in view.size))
+        ray, _ = camera_ray(view, film, mi.Point2f(0.5, 0.5))
+        tangent = np.array([ray.d.x / ray.d.z, ray.d.y / ray.d.z], dtype=np.float64)
+        slope = size / (tangent[:, 1] - tangent[:, 0])
+    else:
+        slope = -view.camera.focal
     return mi.Vector2f(*(dr.opaque(mi.Float, float(value)) for value in slope))
 
 
@@ -335,6 +338,7 @@ def filter_and_view_terms(
         "starts": dr.opaque(mi.UInt32, pairs.kinds if few else 1),
         "most": dr.opaque(mi.Float, np.sqrt(2 * number * paths.batches) / (2 * number)),
         "parts": own,
+        "film": view.film_arrays,
     }
 
     def body(arrays: dict[str, Any]) -> tuple[list[mi.Color3f], mi.Color3f, mi.Vector4f, mi.Vector3f]:
@@ -342,7 +346,7 @@ def filter_and_view_terms(
         seeds, even_seeds = arrays["seeds"]
         given = dict(zip(_TRACED, join(parts, iter(arrays["parts"])), strict=True))
         columns, *others = sum_pairs(
-            view,
+            view.with_film_arrays(arrays["film"]),
             replace(prepared, **given),
             lane_sampler(lanes.pixel, lanes.batch, seeds),
             EvenNumbers.of(lanes, even_seeds, _DIMENSIONS),

@@ -19,6 +19,7 @@ from .pairs import PairSample
 if TYPE_CHECKING:
     import mitsuba as mi
 
+    from ..render.film_map import Bend
     from ..render.view import View
     from .film_flow import FilmFlow
     from .flow import Prepared
@@ -121,7 +122,7 @@ def sum_pairs(
         normal = world_to_camera @ mi.Vector3f(seen.hit.n)
         valid = seen.hit.is_valid()
         curved = valid & ~seen.hit.shape.is_mesh()
-        weights = divergences(half, ray, lens, valid, curved, distance, normal, prepared.focal)
+        weights = divergences(half, ray, lens, valid, curved, distance, normal, prepared.focal, view.bend)
         closing += mi.Vector3f(weights[:3])
         weights += [_film_divergence(half, film, flow) for flow in prepared.film_flows]
         for k in range(len(weights)):
@@ -175,6 +176,7 @@ def divergences(
     distance: mi.Float,
     normal: mi.Vector3f,
     focal: mi.Vector2f,
+    bend: Bend | None = None,
 ) -> list[mi.Float]:
     """∇·(h f) over the sample's density, for the six twist components.
 
@@ -182,11 +184,20 @@ def divergences(
         ray, lens, normal: in the camera frame.
         valid, distance: whether the ray hits, and how far from the lens point [scene unit].
         curved: whether what it hits may be curved, so that its normal is as inexact as the hit.
-        focal: d(film)/d(tangent plane), so that focal·∇h is the gradient on the tangent plane.
+        focal: d(plain film)/d(tangent plane), so that focal·∇h is the gradient on the tangent plane.
+        bend: of a lens that distorts: its D' turns that gradient, and of the divergence on its film there is
+            f·∇ ln det D' beside that on the tangent plane, as if h had the gradient h ∇ ln det D' more.
     """
+    import mitsuba as mi
+
     h = half.value
     gx, gy = half.gradient.x * focal.x, half.gradient.y * focal.y
     x, y = ray.d.x / ray.d.z, ray.d.y / ray.d.z
+    if bend is not None:
+        # Its u has axes right and down, against those of the tangent plane.
+        u = mi.Point2f(-x, -y)
+        turned, swelling = bend.stretched(u, mi.Vector2f(gx, gy)), bend.swelling(u)
+        gx, gy = turned.x - h * swelling.x, turned.y - h * swelling.y
     inverse_depth = dr.select(valid & (distance > 0.0), dr.rcp(ray.d.z * distance), 0.0)
     # n q_z/(n·q); a plane through the lens point has no film area, so its value does not matter.
     slant = dr.dot(normal, ray.d) / ray.d.z

@@ -117,6 +117,13 @@ class Contours:
         radius = self.view.pixel_filter.radius
         return np.concatenate([low + 0.5 - radius, high - 0.5 + radius], axis=1)
 
+    def plain_reach(self, block: Ints) -> Floats:
+        """Rectangle (n, 4) of the plain film that holds their `reach`."""
+        if self.camera.distortion is None:
+            return self.reach(block)
+        own, of_own = np.unique(block, return_inverse=True)
+        return self.camera.plain_boxes(self.reach(own))[of_own]
+
     def aside(self, placed: Placed, piece: Ints) -> Floats:
         """How far beside points of pieces their two surfaces are looked for (n, 1) [pixel].
 
@@ -147,6 +154,7 @@ class Contours:
             "aperture": [upload(mi.Float, x) for x in widened(aperture).T],
             "depth": upload(mi.Float, widened(placed.seen[:, 2])),
             "transform": opaque_transform(self.pose),
+            "film": self.view.film_arrays,
         }
 
     def jump(self, sides: Sides, placed: Placed, piece: Ints, point: Floats) -> Floats:
@@ -204,6 +212,7 @@ def look(view: View, arrays: dict[str, Any]) -> tuple[Sides, mi.Ray3f, mi.Color3
     """
     import mitsuba as mi
 
+    view = view.with_film_arrays(arrays["film"])
     (inner, _), (outer, importance) = (
         camera_ray(view, mi.Point2f(*arrays[side]), mi.Point2f(*arrays["aperture"]))
         for side in ("inner", "outer")
@@ -315,7 +324,7 @@ def _weighted(contours: Contours, block: Ints, length: Floats) -> Contours:
     arc = length[piece]
     if contours.camera.radius == 0.0:
         # A pinhole knows how much of each piece lies in the block's reach.
-        box, middle = contours.reach(block), np.full(len(piece), 0.5)
+        box, middle = contours.plain_reach(block), np.full(len(piece), 0.5)
         arc = contours.place(piece, middle, np.zeros((len(piece), 3)), box).length
     kept = arc > 0.0
     block, piece, arc = block[kept], piece[kept], arc[kept]

@@ -103,6 +103,9 @@ class Measurement:
 
     def provenance(self) -> dict[str, Any]:
         """How the numbers were made, JSON-able."""
+        camera, scaled = self.options.camera, {}
+        if camera is not None and camera.size != self.view.size:
+            scaled = {"camera_scaled_from": list(camera.size)}
         return {
             "scene": self.view.label,
             "sensor": self.view.variable,
@@ -116,6 +119,7 @@ class Measurement:
             "pixels": dataclasses.asdict(self.selection),
             "nuisances": {nuisance.name: nuisance.how for nuisance in self.nuisances},
             **self.view.provenance(),
+            **scaled,
             "versions": versions(),
         }
 

@@ -60,16 +60,18 @@ class MitsubaView(View):
         return visibility.nothing_lit(self) if black else visibility.nothing_visible(self)
 
     def provenance(self) -> dict[str, Any]:
-        """The integrator's name and the field of view [deg] along x and y; that of a luminance film, too."""
+        """The integrator's name, the field of view [deg] along x and y, a calibration, a luminance film."""
         python = type(self.integrator).__module__ != "mitsuba"
         name = type(self.integrator).__name__ if python else self.integrator.class_name()
         film = {"film": "luminance"} if self.luminance else {}
-        return {"integrator": name, "fov_deg": self.camera.field_of_view_deg, **film}
+        lens = {} if self.calibration is None else {"camera": self.calibration.intrinsics.to_dict()}
+        return {"integrator": name, "fov_deg": self.camera.field_of_view_deg, **lens, **film}
 
 
 def wanted(options: MeasurementOptions) -> Wanted:
     """What the options ask of a scene before it is loaded."""
-    return Wanted(options.sensor, options.size, options.integrator is not None)
+    size = options.size if options.camera is None else None
+    return Wanted(options.sensor, size, options.integrator is not None)
 
 
 @contextlib.contextmanager
@@ -81,6 +83,7 @@ def open_measurable(scene: Any, options: MeasurementOptions, *, apart: bool = Fa
         pose=options.pose,
         integrator=options.integrator,
         size=options.size,
+        camera=options.camera,
         apart=apart,
     ) as view:
         yield MitsubaView(*(getattr(view, field.name) for field in dataclasses.fields(view)))

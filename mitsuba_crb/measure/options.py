@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict
 from ..errors import OptionError
 
 if TYPE_CHECKING:
+    from ..camera import Intrinsics
     from .adaptive import Round
     from .tile_jacobian import TileJacobian
 
@@ -36,6 +37,7 @@ class MeasurementKeywords(TypedDict, total=False):
     pixels: Any
     integrator: Any
     size: tuple[int, int] | None
+    camera: Intrinsics | None
     tile: int
     drop_invalid: bool
     on_tile: Progress | None
@@ -80,6 +82,9 @@ class MeasurementOptions:
     """In place of the scene's: an `mi.Integrator`, a plugin's name or a dictionary."""
     size: tuple[int, int] | None = None
     """Width and height [pixel] in place of the film's; removes a crop window."""
+    camera: Intrinsics | None = None
+    """In place of the sensor's focal length, principal point and film size, with the lens' distortion; where
+    there is a `size`, too, scaled to it."""
     tile: int = 256
     """Side of the tiles [pixel], a multiple of 8; bounds the memory, not the result."""
     drop_invalid: bool = False
@@ -99,7 +104,7 @@ class MeasurementOptions:
     """Whether the default noise's camera saturates above white."""
 
     def __post_init__(self) -> None:
-        from ..camera import image_size
+        from ..camera import Intrinsics, image_size
         from ..information.accumulate import MINIMUM_BATCHES
         from ..information.blocks import BLOCK
 
@@ -130,6 +135,10 @@ class MeasurementOptions:
             object.__setattr__(self, "exposure", float(self.exposure))
         if self.size is not None:
             object.__setattr__(self, "size", image_size(self.size))
+        if self.camera is not None and not isinstance(self.camera, Intrinsics):
+            raise OptionError(
+                f"camera must be Intrinsics, as a calibration file is read into, or None; got {self.camera!r}"
+            )
 
     def _check_paths(self) -> None:
         precision = self.precision

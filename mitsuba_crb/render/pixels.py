@@ -129,12 +129,13 @@ def start_pixels(
         "transform": opaque_transform(view.pose if pose is None else pose),
         "spp": dr.opaque(mi.UInt32, spp),
         "filter": own,
+        "film": view.film_arrays,
     }
 
     def body(arrays: dict[str, Any]) -> mi.Color3f:
         lanes = Lanes(*arrays["lanes"])
         return sum_samples(
-            view,
+            view.with_film_arrays(arrays["film"]),
             join(view.pixel_filter, iter(arrays["filter"])),
             lane_sampler(lanes.pixel, lanes.batch, arrays["seeds"]),
             lanes.centre,

@@ -21,8 +21,11 @@ def camera_ray(view: View, film: mi.Point2f, aperture: mi.Point2f) -> tuple[mi.R
     """Ray in the camera frame through a film point [pixel], and the sensor's weight."""
     import mitsuba as mi
 
-    width, height = view.size
-    position = mi.Point2f(film.x / width, film.y / height)
+    if view.film_map is None:
+        width, height = view.size
+        position = mi.Point2f(film.x / width, film.y / height)
+    else:
+        position = view.film_map.position(film)
     ray, weight = view.sensor.sample_ray(0.0, 0.5, position, aperture)
     return ray, mi.Color3f(weight)
 

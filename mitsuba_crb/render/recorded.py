@@ -73,7 +73,8 @@ class Recorder:
                 traced = body(arrays)
             return lambda: _evaluated(traced)
         # As text: of equal objects in nested tuples Dr.Jit takes the second for a reference to the first.
-        whole = repr((key, view.size, film.size(), film.crop_size(), film.crop_offset()))
+        lens = split(view.film_map)[1]
+        whole = repr((key, lens, view.size, film.size(), film.crop_size(), film.crop_offset()))
         return lambda: self._run((name, sensor), body, view, arrays, whole)
 
     def _run(self, name: Any, body: Callable[[Any], Any], view: View, arrays: Any, key: str) -> Any:

@@ -10,14 +10,15 @@ new pose nor a geo-referenced origin costs digits or a new kernel.
 from __future__ import annotations
 
 import contextlib
+import copy
 import functools
 import os
 import re
 import traceback
 import warnings
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,13 +37,15 @@ from .cures import one_line
 from .fit import CROP_DROPPED, Wanted, find
 from .integrators import find_integrator
 from .lending import at_identity, turns
+from .recorded import join, split
 from .scene import SceneFile, as_scene, contents
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
-    from ..camera import Camera
+    from ..camera import Camera, Intrinsics
     from .film import PixelFilter
+    from .film_map import Bend, Calibration, FilmMap
     from .recorded import Recorder
 
 
@@ -72,13 +75,64 @@ class View:
     """Of the scene's kernels."""
     luminance: bool = False
     """Whether the film has one channel, the luminance, in place of R, G and B."""
+    calibration: Calibration | None = None
+    """Of the camera that the sensor stands in for; None: the sensor is the camera."""
 
     @functools.cached_property
     def camera(self) -> Camera:
-        """The sensor's intrinsics, read off its own rays."""
+        """The calibration's intrinsics, or the sensor's, read off its own rays."""
         from .rays import seen_camera
 
-        return seen_camera(self)
+        return seen_camera(self) if self.calibration is None else self.calibration.camera
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """The calibration, or what it would be of the sensor."""
+        from ..camera import Intrinsics
+
+        if self.calibration is not None:
+            return self.calibration.intrinsics
+        (fx, fy), (cx, cy) = self.camera.focal, self.camera.centre
+        return Intrinsics(self.size, (fx, fy), (cx, cy))
+
+    @property
+    def film_map(self) -> FilmMap | None:
+        """From the camera's film to the sensor's; None if they are the same."""
+        return None if self.calibration is None else self.calibration.film_map
+
+    @property
+    def bend(self) -> Bend | None:
+        """The lens' distortion."""
+        return None if self.film_map is None else self.film_map.bend
+
+    def seen_through(self, intrinsics: Intrinsics) -> Self:
+        """The sensor as another camera, of the calibration's image.
+
+        Raises:
+            CameraError: as `Calibration.of`.
+        """
+        from .film_map import Calibration
+        from .rays import seen_camera
+
+        sensor = replace(self, size=intrinsics.size, calibration=None)
+        # A little more, for pixels of a box filter are moved a little.
+        margin = float(self.sensor.film().rfilter().radius()) + 0.01
+        calibration = Calibration.of(intrinsics, seen_camera(sensor), margin, self.variable)
+        return replace(self, size=intrinsics.size, calibration=calibration)
+
+    @property
+    def film_arrays(self) -> list[Any]:
+        """What `camera_ray` reads of the view beside the sensor, as kernel input."""
+        return split(self.film_map)[0]
+
+    def with_film_arrays(self, arrays: list[Any]) -> Self:
+        """The same view with those arrays as a kernel has them."""
+        if self.calibration is None or self.film_map is None:
+            return self
+        other = copy.copy(self)  # what has been found out of the view is kept
+        film_map = join(self.film_map, iter(arrays))
+        vars(other)["calibration"] = replace(self.calibration, film_map=film_map)
+        return other
 
     @functools.cached_property
     def pixel_filter(self) -> PixelFilter:
@@ -141,6 +195,7 @@ def open_view(
     pose: Any = None,
     integrator: Any = None,
     size: tuple[int, int] | None = None,
+    camera: Intrinsics | None = None,
     apart: bool = False,
 ) -> Iterator[View]:
     """Load what is not loaded, check it, and lend it as a `View`; restores the sensor afterwards.
@@ -155,15 +210,21 @@ def open_view(
         integrator: an `mi.Integrator`, a plugin's name, or a dictionary, in place of the scene's.
         size: width and height in place of the film's [pixel]; removes a crop window. The field of view is
             what the file says, along the axis that it names; of an `mi.Scene` the shape has to stay.
+        camera: in place of the sensor's focal length, principal point, film size and crop window; with a
+            `size`, scaled to that.
         apart: every mesh and material of a file or dictionary is an object of its own.
 
     Raises:
-        SceneError, SensorError, FilmError, IntegratorError, PoseError, OptionError, VariantError, LLVMError.
+        SceneError, SensorError, CameraError, FilmError, IntegratorError, PoseError, OptionError,
+        VariantError, LLVMError.
     """
     with turns:
         if _kept and _kept[0][0] is not scene:
             _kept.clear()
         size = None if size is None else image_size(size)
+        if camera is not None:
+            # The map to the sensor's film holds whatever size that has.
+            camera, size = camera if size is None else camera.scaled(size), None
         loaded, label = as_scene(scene, Wanted(sensor, size, integrator is not None, apart))
         from .recorded import Recorder
 
@@ -171,18 +232,18 @@ def open_view(
         if _kept and _kept[0][1].fits(recorder):
             recorder = _kept[0][1]
         _kept[:] = [(loaded, recorder)] if loaded is scene else []
-        camera, variable = _find_sensor(loaded, sensor)
-        luminance = _check_film(camera.film())
-        _check_shape(camera, variable, size)
-        radiance = find_integrator(loaded, camera, integrator)
-        with at_identity(camera, variable, size) as to_world:
+        lent, variable = _find_sensor(loaded, sensor)
+        luminance = _check_film(lent.film())
+        _check_shape(lent, variable, size)
+        radiance = find_integrator(loaded, lent, integrator)
+        with at_identity(lent, variable, size) as to_world:
             found = (to_world, "the sensor's to_world") if pose is None else (pose,)
             world_from_camera = se3.as_pose(*found)
-            width, height = camera.film().crop_size()
+            width, height = lent.film().crop_size()
             size = int(width), int(height)
-            view = View(
-                loaded, camera, radiance, world_from_camera, size, variable, label, recorder, luminance
-            )
+            view = View(loaded, lent, radiance, world_from_camera, size, variable, label, recorder, luminance)
+            if camera is not None:
+                view = view.seen_through(camera)
             with tracing(radiance):
                 yield view
 
