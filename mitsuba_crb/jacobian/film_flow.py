@@ -1,13 +1,19 @@
-"""What acts on the film alone: field of view and principal point, by the filter term.
+"""What acts on the film alone: focal lengths, principal point, a lens' distortion, by the filter term.
 
-Camera-frame directions (x, y, 1) meet the film at v = c + f (x, y), c the principal point, f the focal
-lengths. Changing either moves the image of every material point by an affine flow w(v) = s v + o, however far
-it is and whatever light it sends. So neither parallax nor view counts and, as in `flow`, with ∇·w = 2 s,
+A camera-frame direction that meets the plane at depth one in u (axes x right, y down) meets the film at
+v = c + f D(u), c the principal point, f the focal lengths, D the lens. Changing any of these moves the image
+of every material point by a flow w(v) = ∂v/∂θ at fixed u, however far it is and whatever light it sends. So
+neither parallax nor view counts and, as in `flow`,
 
-    ∂I_u/∂θ = ∫ (L − Ī_u) ∇·(h_u w) dv,   ∇·(h w) = ∇h·w + 2 s h.
+    ∂I_u/∂θ = ∫ (L − Ī_u) ∇·(h_u w) dv,   ∇·(h w) = ∇h·w + h ∇·w
 
-Field of view α: f ∝ 1/tan(α/2), hence w = −(v − c) / sin α. Principal point: w is constant.
-Source: design sections 4.1 and 5.
+    fx, fy           w = (v − c)/f along one axis                 ∇·w = 1/f
+    cx, cy           w = 1 along one axis                         ∇·w = 0
+    field of view α  w = −(v − c) / sin α, for f ∝ 1/tan(α/2)     ∇·w = −2 / sin α
+    coefficient k    w = f ∂D/∂k                                  ∇·w = ∂ ln det D'/∂k
+
+The last line holds because det D' is what the film makes of area: Liouville's formula. The field of view is
+that of the film without the lens' distortion. Source: design sections 4.1, 5 and 12.
 """
 
 from __future__ import annotations
@@ -17,42 +23,89 @@ from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
+
+from ..camera import LENS_MODELS, lens
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
     from ..render.view import View
+    from .pairs import PairSample
 
 
 @dataclass(frozen=True)
-class FilmFlow:
+class AffineFlow:
     """w(v) = s v + o, the motion of film points per unit of a parameter [pixel]."""
 
-    scale: mi.Float
-    """s."""
+    scale: mi.Vector2f
+    """s, along x and along y."""
     offset: mi.Vector2f
     """o [pixel]."""
 
     @staticmethod
-    def of(scale: float, offset: NDArray[np.float64]) -> FilmFlow:
+    def of(scale: ArrayLike, offset: ArrayLike) -> AffineFlow:
         """As kernel input, so that other values need no new kernel."""
-        import mitsuba as mi
+        return AffineFlow(_opaque(scale), _opaque(offset))
 
-        return FilmFlow(
-            dr.opaque(mi.Float, scale), mi.Vector2f(*(dr.opaque(mi.Float, float(value)) for value in offset))
-        )
+    def divergence(self, half: PairSample, film: mi.Point2f, u: mi.Point2f) -> mi.Float:
+        """∇·(h w) over the sample's density."""
+        x, y = self.scale.x * film.x + self.offset.x, self.scale.y * film.y + self.offset.y
+        return half.gradient.x * x + half.gradient.y * y + (self.scale.x + self.scale.y) * half.value
 
 
-def field_of_view(view: View) -> FilmFlow:
-    """The flow per degree of the horizontal field of view; the aspect ratio stays."""
+@dataclass(frozen=True)
+class CoefficientFlow:
+    """w(v) = f ∂D/∂k, the motion of film points per unit of a coefficient of the lens [pixel]."""
+
+    model: str
+    index: int
+    """Of the coefficient."""
+    coefficients: tuple[mi.Float, ...]
+    focal: mi.Vector2f
+    """f [pixel]."""
+
+    def divergence(self, half: PairSample, film: mi.Point2f, u: mi.Point2f) -> mi.Float:
+        """∇·(h w) over the sample's density."""
+        x, y, spread = lens.motion(dr, self.model, self.coefficients, self.index, u.x, u.y)
+        return half.gradient.x * self.focal.x * x + half.gradient.y * self.focal.y * y + spread * half.value
+
+
+FilmFlow = AffineFlow | CoefficientFlow
+
+
+def plain_fov_deg(view: View) -> float:
+    """Horizontal field of view of the film without the lens' distortion; of a sensor, of all its film."""
     import mitsuba as mi
 
-    x_fov = float(np.asarray(mi.traverse(view.sensor)["x_fov"]).ravel()[0])
-    scale = -np.radians(1.0) / np.sin(np.radians(x_fov))
-    return FilmFlow.of(scale, -scale * view.camera.centre)
+    if view.calibration is None:
+        return float(np.asarray(mi.traverse(view.sensor)["x_fov"]).ravel()[0])
+    intrinsics = view.calibration.intrinsics
+    return float(np.degrees(2.0 * np.arctan(0.5 * intrinsics.size[0] / intrinsics.focal[0])))
 
 
-def principal_point() -> tuple[FilmFlow, FilmFlow]:
-    """The flows per pixel of the principal point along x and along y."""
-    return FilmFlow.of(0.0, np.array([1.0, 0.0])), FilmFlow.of(0.0, np.array([0.0, 1.0]))
+def film_flows(view: View, name: str) -> tuple[FilmFlow, ...]:
+    """The flows per unit of "fov" [deg], "principal_point" [pixel], or one of `Intrinsics.parameters`."""
+    import mitsuba as mi
+
+    intrinsics = view.intrinsics
+    focal, centre = np.array(intrinsics.focal), np.array(intrinsics.centre)
+    if name == "principal_point":
+        return film_flows(view, "cx") + film_flows(view, "cy")
+    if name == "fov":
+        scale = -np.radians(1.0) / np.sin(np.radians(plain_fov_deg(view)))
+        return (AffineFlow.of([scale, scale], -scale * centre),)
+    if name in ("cx", "cy"):
+        return (AffineFlow.of([0.0, 0.0], np.eye(2)["xy".index(name[1])]),)
+    if name in ("fx", "fy"):
+        axis = np.eye(2)["xy".index(name[1])] / focal
+        return (AffineFlow.of(axis, -axis * centre),)
+    k = tuple(dr.opaque(mi.Float, value) for value in intrinsics.distortion)
+    index = LENS_MODELS[intrinsics.model].index(name)
+    return (CoefficientFlow(intrinsics.model, index, k, _opaque(focal)),)
+
+
+def _opaque(vector: ArrayLike) -> mi.Vector2f:
+    import mitsuba as mi
+
+    return mi.Vector2f(*(dr.opaque(mi.Float, float(value)) for value in np.asarray(vector)))

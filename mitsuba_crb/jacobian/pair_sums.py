@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from ..render.film_map import Bend
     from ..render.view import View
-    from .film_flow import FilmFlow
     from .flow import Prepared
 
 RIM = 1e-3
@@ -124,7 +123,8 @@ def sum_pairs(
         curved = valid & ~seen.hit.shape.is_mesh()
         weights = divergences(half, ray, lens, valid, curved, distance, normal, prepared.focal, view.bend)
         closing += mi.Vector3f(weights[:3])
-        weights += [_film_divergence(half, film, flow) for flow in prepared.film_flows]
+        plain = mi.Point2f(-ray.d.x / ray.d.z, -ray.d.y / ray.d.z)
+        weights += [flow.divergence(half, film, plain) for flow in prepared.film_flows]
         for k in range(len(weights)):
             columns[k] += (light - baseline) * weights[k]
         # With the baseline: the weights' own noise, whose mean is 1, would otherwise scale the whole image.
@@ -159,12 +159,6 @@ def _tangent(direction: mi.Vector3f, turn: mi.Float, mirrored: mi.Bool) -> mi.Ve
 
     sin, cos = dr.sincos(dr.two_pi * (turn + dr.select(mirrored, 0.25, 0.0)))
     return mi.Vector3f(mi.Frame3f(direction).to_world(mi.Vector3f(cos, sin, 0.0)))
-
-
-def _film_divergence(half: PairSample, film: mi.Point2f, flow: FilmFlow) -> mi.Float:
-    """∇·(h w) over the sample's density."""
-    x, y = flow.scale * film.x + flow.offset.x, flow.scale * film.y + flow.offset.y
-    return half.gradient.x * x + half.gradient.y * y + 2.0 * flow.scale * half.value
 
 
 def divergences(

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from .. import se3
 from ..render.pixels import radiance, render_pixels
-from ..render.rays import move_ray, opaque_transform, seen_camera
+from ..render.rays import move_ray, opaque_transform
 from ..render.recorded import Recorder
 from .forward import MAX_LANES, camera_paths, per_batch, per_path
 from .method import Paths
@@ -35,8 +35,6 @@ Pixels = NDArray[np.int64]
 
 STEP_PIXELS = 0.15
 """Image motion of a step of what moves the image [pixel]."""
-
-_OFFSET = 0.01
 
 
 @dataclass(frozen=True)
@@ -140,22 +138,3 @@ def motions(view: View, parameters: mi.SceneParameters, key: str, value: Any) ->
     shift = STEP_PIXELS * (float(np.median(depth)) if depth.size else 1.0) / view.camera.focal_length
     turn = 2.0 * STEP_PIXELS / max(view.size)
     return SceneParameter(parameters, key, value, tuple(np.eye(6)), (shift,) * 3 + (turn,) * 3)
-
-
-def sensor_parameters(view: View, name: str) -> tuple[SceneParameter, ...]:
-    """Field of view [deg] ("fov") or principal point [pixel] ("principal_point"), by finite differences."""
-    import mitsuba as mi
-
-    parameters = mi.traverse(view.sensor)
-    if name == "fov":
-        value = mi.Float(parameters["x_fov"])
-        step = np.degrees(2.0 * STEP_PIXELS / max(view.size)) * np.sin(np.radians(np.array(value)[0]))
-        return (SceneParameter(parameters, "x_fov", value, (np.ones(1),), (float(step),)),)
-    found, origin = [], seen_camera(view).centre
-    for axis, key in enumerate(("principal_point_offset_x", "principal_point_offset_y")):
-        value = mi.Float(parameters[key])
-        whole = SceneParameter(parameters, key, value, (np.ones(1),), (1.0,))
-        with whole.at(0, _OFFSET):
-            moved = (seen_camera(view).centre - origin)[axis]
-        found.append(replace(whole, directions=(np.full(1, _OFFSET / moved),), steps=(STEP_PIXELS,)))
-    return tuple(found)

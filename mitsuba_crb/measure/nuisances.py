@@ -2,9 +2,11 @@
 
     gain             ∂I = I, per relative change of exposure; every batch's column is its own image
     black            ∂I = 1 [radiance], a common offset of all values
-    fov              horizontal field of view [deg]; by the filter term inside `flow`, by finite differences
-                     of renders with other methods
-    principal_point  its two film coordinates [pixel]; likewise
+    fx, fy, cx, cy   focal lengths and principal point [pixel]; by the filter term inside `flow`, by finite
+                     differences of renders with other methods
+    k1, p1, ...      a coefficient of the lens model that the camera was given; likewise
+    fov              horizontal field of view [deg], fx and fy in proportion; likewise
+    principal_point  cx and cy
     NAME             a differentiable parameter of `mi.traverse(scene)`, a column for each entry; of a
                      `to_world` the six motions. NAME:scale is a common scale of all entries
     gain:32          with a value of its own in every tile of 32 x 32 pixels; likewise black:32; not of a
@@ -26,6 +28,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..camera import LENS_MODELS
 from ..errors import NuisanceError
 from ..jacobian.method import Method, Paths
 
@@ -33,10 +36,15 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
     from ..jacobian.film_flow import FilmFlow
+    from ..jacobian.intrinsic_parameter import IntrinsicParameter
     from ..jacobian.parameter import SceneParameter
     from ..render.view import View
 
-NAMES = ("gain", "black", "fov", "principal_point")
+FILM_NAMES = ("fov", "principal_point", "fx", "fy", "cx", "cy")
+"""Nuisances of every camera."""
+COEFFICIENTS = tuple(dict.fromkeys(name for names in LENS_MODELS.values() for name in names))
+"""Nuisances of cameras with a lens model that has them."""
+NAMES = ("gain", "black", *FILM_NAMES, *COEFFICIENTS)
 """Nuisances that are no parameters of the scene."""
 
 LARGEST = 12
@@ -64,7 +72,7 @@ class Nuisance:
     """Number of its columns."""
     film_flows: tuple[FilmFlow, ...] = ()
     """What the method has to follow beside the pose."""
-    rendered: tuple[SceneParameter, ...] = ()
+    rendered: tuple[SceneParameter | IntrinsicParameter, ...] = ()
     """What needs renders of its own."""
 
     def columns(self, view: Any, pixels: Pixels, images: Floats, film: Floats, paths: Paths) -> list[Floats]:
@@ -125,17 +133,23 @@ def nuisance_columns(
 def _open(view: View, name: str, method: type[Method]) -> Nuisance:
     import mitsuba as mi
 
-    from ..jacobian.film_flow import field_of_view, principal_point
-    from ..jacobian.parameter import sensor_parameters
+    from ..jacobian.film_flow import film_flows
+    from ..jacobian.intrinsic_parameter import IntrinsicParameter
 
     base, _, suffix = name.partition(":")
     if base in ("gain", "black") and (not suffix or suffix.isdigit()):
         return Nuisance(name, "the image itself" if base == "gain" else "exact", 1)
+    if name in COEFFICIENTS and name not in view.intrinsics.parameters:
+        having = " or ".join(model for model, names in LENS_MODELS.items() if name in names)
+        raise NuisanceError(
+            f"{name} is a coefficient of the lens model {having}, and the camera's is a "
+            f"{view.intrinsics.model}: give a calibration of such a model, which may have zeros"
+        )
     if name in NAMES and method.follows_film:
-        flows = (field_of_view(view),) if name == "fov" else principal_point()
+        flows = film_flows(view, name)
         return Nuisance(name, "filter term", len(flows), film_flows=flows)
     if name in NAMES:
-        rendered = sensor_parameters(view, name)
+        rendered = IntrinsicParameter.of(view, name)
         return Nuisance(name, rendered[0].how, len(rendered), rendered=rendered)
     parameters = mi.traverse(view.scene)
     scale = name not in parameters and suffix == "scale"
@@ -208,7 +222,7 @@ def _no_such(name: str, parameters: mi.SceneParameters) -> str:
         and not re.search(r"(object|_unnamed)_(0x)?[0-9a-f]{6,}", key)
     ]
     near = difflib.get_close_matches(name, [*NAMES, *usable], n=4, cutoff=0.5)
-    listed = ", ".join(near or [*NAMES, *usable[:8]])
+    listed = ", ".join(near or ["gain", "black", *FILM_NAMES, *usable[:8]])
     merged = "; equal meshes and materials of an mi.Scene may be merged: give its file" if "." in name else ""
     return (
         f"no nuisance or scene parameter is named {name}; {'near ones' if near else 'there are'}: {listed}"
