@@ -7,7 +7,7 @@ A row is what of a bound fits into a line of a spreadsheet. `PoseRow.columns` wr
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -65,14 +65,17 @@ class PoseRow(Record):
     """Of each of them."""
     seconds: float
     """How long it took [s]."""
+    no_bound: tuple[str, ...]
+    """What the method cannot see, so that the numbers are no bounds."""
     notes: tuple[str, ...]
-    """What was warned of."""
+    """What else was warned of."""
 
     @staticmethod
     def of(name: str, bound: PoseBound) -> PoseRow:
         """The row of a measured bound."""
         semi_axes, directions = bound.ellipsoid("position")
         facts = bound.provenance
+        blind = facts.get("no_bound", ())
         return PoseRow(
             name=name,
             pose=bound.information.pose,
@@ -92,7 +95,8 @@ class PoseRow(Record):
             ellipsoid_axes=directions,
             ellipsoid_verdict=bound.verdicts_along("position", directions),
             seconds=facts.get("seconds", {}).get("total", math.nan),
-            notes=tuple(" ".join(text.split()) for text in facts.get("warnings", ())),
+            no_bound=_lines(blind),
+            notes=_lines([text for text in facts.get("warnings", ()) if text not in blind]),
         )
 
     @property
@@ -146,7 +150,8 @@ class PoseRow(Record):
             x, y, z = self.ellipsoid_axes[:, k].tolist()
             found |= {name: float(self.ellipsoid[k]), f"{name}_x": x, f"{name}_y": y, f"{name}_z": z}
             found[f"{name}_verdict"] = self.ellipsoid_verdict[k]
-        return found | {"seconds": self.seconds, "notes": _BREAK.join(self.notes)}
+        words = {"no_bound": _BREAK.join(self.no_bound), "notes": _BREAK.join(self.notes)}
+        return found | {"seconds": self.seconds, **words}
 
     @staticmethod
     def of_columns(values: Mapping[str, Any], pose: Array) -> PoseRow:
@@ -181,8 +186,13 @@ class PoseRow(Record):
             ellipsoid_axes=np.stack(axes, axis=1),
             ellipsoid_verdict=_verdicts(values, _ELLIPSOID),
             seconds=float(numbers("seconds")[0]),
+            no_bound=tuple(text for text in str(values["no_bound"]).split(_BREAK) if text),
             notes=tuple(text for text in str(values["notes"]).split(_BREAK) if text),
         )
+
+
+def _lines(texts: Iterable[str]) -> tuple[str, ...]:
+    return tuple(" ".join(text.split()) for text in texts)
 
 
 _PARTS = ("", "_error", "_lower_limit")

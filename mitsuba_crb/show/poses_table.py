@@ -27,8 +27,9 @@ _LEAST_NAME = 6
 _GAP = 3
 _LEAST_WORDS = 20
 """Letters of a direction that are worth a column."""
-_IN_ROWS = ("not resolved", "the bound on ")
-"""How the notes begin that the rows' numbers say as well."""
+_RARE = "rare paths decide"
+_IN_ROWS = ("not resolved", "the bound on ", _RARE)
+"""How the notes begin that the rows' numbers and the facts say as well."""
 
 
 def print_poses(console: Console, table: PoseTable, source: str = "") -> None:
@@ -45,6 +46,8 @@ def print_poses(console: Console, table: PoseTable, source: str = "") -> None:
     scene = Text(str(table.settings.get("scene", "")).rpartition("/")[2], style="bold")
     pixels = "" if size is None else f"  {size[0]}×{size[1]} pixels"
     print_line(console, scene, pixels, f"  {table.asked} poses")
+    for text, n in Counter(text for row in table.rows for text in row.no_bound).items():
+        print_line(console, Text("no bound: ", style="bold red"), f"{text}{_times(n, len(table.rows))}")
     if table.interrupted:
         words = (
             f"{len(table.rows)} of {table.asked} poses are done; a file of --json or --csv goes on from them"
@@ -157,6 +160,9 @@ def _facts(table: PoseTable) -> list[tuple[str, str]]:
     rough = [row.name for row in rows if row.relative_standard_error > LARGEST_RELATIVE_ERROR]
     if rough:
         facts.append((f"± above {100 * LARGEST_RELATIVE_ERROR:.0f} %", _listed(rough)))
+    rare = [row.name for row in rows if any(note.startswith(_RARE) for note in row.notes)]
+    if rare:
+        facts.append(("no error", f"{_listed(rare)}: rare paths decide there; more would tell"))
     facts.append(("noise", _noise(settings)))
     if settings.get("prior"):
         facts.append(("prior", "included"))

@@ -104,6 +104,16 @@ def test_an_interrupted_run_goes_on_with_the_same_command(
             assert json.loads(line)["information"] == json.loads(expected)["information"]
 
 
+def test_what_is_no_bound_is_said_above_the_table(path: Path, scenes: Path, capsys: Any) -> None:
+    scene = str(scenes / "checkerboard_wall" / "checkerboard_wall.xml")
+    np.save(path, np.load(path)[:2])
+    assert cli.run(["bound", scene, "--poses", str(path), *FEW, "--method", "forward"]) == 0
+    above, _, below = capsys.readouterr().out.partition(" pose ")
+    assert "no bound: " in above
+    assert "(at all poses)" in above
+    assert "checkerboard" not in below
+
+
 def test_before_the_first_row_an_interrupt_is_one_line(
     path: Path, tmp_path: Path, capsys: Any, counted: Callable[..., list[Any]]
 ) -> None:

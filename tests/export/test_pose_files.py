@@ -22,7 +22,12 @@ from mitsuba_crb.measure.pose_table import PoseRow, PoseTable
 SETTINGS: dict[str, Any] = {"scene": "räume/a, b.xml", "seed": 0, "size": (4, 3), "white": np.inf}
 BOUNDS: list[PoseBound] = [
     dataclasses.replace(
-        bound, provenance={"warnings": ["one\nthing", 'an "other"'], "seconds": {"total": 2.5}}
+        bound,
+        provenance={
+            "warnings": ["one\nthing", 'an "other"'],
+            "no_bound": ['an "other"'],
+            "seconds": {"total": 2.5},
+        },
     )
     for bound in result_samples.bounds(np.random.default_rng(3)).values()
 ]
