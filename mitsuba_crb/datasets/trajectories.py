@@ -51,10 +51,10 @@ def trajectory(path: Path, given: Convention) -> Poses:
     """
     text = read_text(path, PoseError)
     rows, comments = rows_of(text)
-    if rows and not are_numbers(rows[0][1]):
+    if rows and not _is_row(rows[0][1]):  # a header
         comments.append(text.splitlines()[rows[0][0] - 1])
         rows = rows[1:]
-    if not rows or not are_numbers(rows[0][1]):
+    if not rows or not _is_row(rows[0][1]):
         raise PoseError(f"{path} has no rows of numbers; known are files of poses of {KNOWN}")
     for line, words in rows:
         for word in words:
@@ -70,6 +70,11 @@ def trajectory(path: Path, given: Convention) -> Poses:
         return _matrices(path, rows, given)
     commas = any("," in line for line in text.splitlines() if not line.lstrip().startswith("#"))
     return _quaternions(path, rows, columns, given, commas=commas)
+
+
+def _is_row(words: Sequence[str]) -> bool:
+    """Whether most words are numbers: a damaged row is none the less a row, no header."""
+    return 2 * sum(are_numbers([word]) for word in words) > len(words)
 
 
 def _check_mixed(path: Path, rows: list[Row], counts: list[int]) -> None:

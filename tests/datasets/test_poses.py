@@ -351,6 +351,7 @@ def test_no_rotation_is_no_rotation_without_a_last_row(form: str, poses: np.ndar
         ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0\n", "line 2 has 7 numbers"),
         ("0 1 2 3 0 0 0 1\n1 0 0 0 0 1 0 0 0 0 1 0\n", "line 2 has 12 numbers"),
         ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0 0 x\n", "line 2.*'x'"),
+        ("0 1 2 3 0 0 0 x\n1 1 2 3 0 0 0 1\n", "line 1.*'x'"),
         ("0 1 2 3 0 0 0 1\ntime x y z qx qy qz qw\n", "line 2.*'time'"),
         ("0 1 2 3 0 0 0 1\n0 1 2 3,, 0 0 1\n", "line 2.*''"),
         ("1 2\n", "2 numbers"),
