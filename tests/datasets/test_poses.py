@@ -235,7 +235,7 @@ class TestNerfstudio:
         read = load_poses(path, dataparser=parser)
         np.testing.assert_allclose(read.poses, expected, atol=1e-14)
         assert "parser.json" in read.convention
-        with pytest.raises(PoseError, match="leave .* out"):
+        with pytest.raises(PoseError, match=r"leave .* out"):
             load_poses(written(tmp_path, json.dumps(POSES.tolist()), "list.json"), dataparser=parser)
         parser.rename(tmp_path / "dataparser_transforms.json")
         np.testing.assert_array_equal(load_poses(path).poses, read.poses)
