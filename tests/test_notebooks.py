@@ -21,7 +21,7 @@ def test_there_are_notebooks() -> None:
 
 @pytest.mark.parametrize(
     "path",
-    [pytest.param(p, marks=pytest.mark.slow if p.stem == "02_texture" else ()) for p in NOTEBOOKS],
+    [pytest.param(p, marks=() if p.stem == "01_quickstart" else pytest.mark.slow) for p in NOTEBOOKS],
     ids=lambda path: path.stem,
 )
 def test_a_notebook_runs_shrunk(path: Path) -> None:

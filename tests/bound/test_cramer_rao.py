@@ -183,6 +183,7 @@ class TestRank:
         # What is there is seen.
         assert np.mean(np.array(ranks) == rank) > 0.9
 
+    @pytest.mark.slow
     def test_a_fixed_number_of_standard_errors_would_take_it(self):
         """Negative control: with the rule that the design rejects some eigenvalue passes in 81 % of cases."""
         rng = np.random.default_rng(9)
@@ -252,6 +253,7 @@ class TestUnseenDirections:
         np.testing.assert_array_equal(np.isinf(bound.position_std), [False, True, False])
         assert np.isinf(np.diagonal(bound.covariance)[:3]).all()  # ρ in the camera's axes is mixed
 
+    @pytest.mark.slow
     def test_noise_leaves_no_plausible_number_on_an_unseen_direction(self):
         """A mixed null direction, noisy estimates: both axes are infinite but for the rank rule's 1 %."""
         rng = np.random.default_rng(14)
@@ -288,6 +290,7 @@ class TestUnseenDirections:
         bound = cramer_rao_bound(_information(_without(direction), pose=np.eye(4)))
         np.testing.assert_array_equal(np.isinf(bound.position_std), [True, True, False])
 
+    @pytest.mark.slow
     def test_a_share_that_noise_explains_is_not_infinite(self):
         """One null direction, an axis: noise tilts it by more than 0.01, but the other axes stay finite."""
         rng = np.random.default_rng(15)
@@ -458,7 +461,7 @@ class TestEllipsoid:
 
 class TestStandardErrors:
     @pytest.mark.parametrize("unseen", [(), ([0, 0, 0, 0, 0, 1],)])
-    @pytest.mark.parametrize("length_scale", [1.0, 4.0])
+    @pytest.mark.parametrize("length_scale", [1.0, pytest.param(4.0, marks=pytest.mark.slow)])
     def test_they_are_the_scatter_of_repetitions(self, unseen, length_scale):
         """The scatter of 100 runs is known to 7 %; 12 of them stay within 25 %."""
         rng = np.random.default_rng(19)
@@ -531,6 +534,7 @@ class TestPrior:
         assert bound.rank == 6
         assert bound.position_std[0] == pytest.approx(1e3, rel=0.05)
 
+    @pytest.mark.slow
     def test_a_strong_prior_elsewhere_does_not_inform_a_tilted_null_direction(self):
         rng = np.random.default_rng(24)
         J = rng.normal(size=(150, 3, 6)) @ np.diag([0.0, 1, 1, 1, 1, 1])

@@ -74,6 +74,7 @@ def test_an_interrupted_run_resumes_to_the_same_result(tmp_path: Path) -> None:
     assert file.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_what_the_method_cannot_see_is_said_once_even_if_a_trial_fails(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -147,6 +148,7 @@ def test_what_changes_a_result_is_not_resumed(tmp_path: Path, before: Any, chang
     assert file.read_bytes() == kept
 
 
+@pytest.mark.slow
 def test_another_scene_under_the_same_name_is_not_resumed(tmp_path: Path, scenes: Path) -> None:
     for name in ("textured_wall.xml", "paint.exr"):
         shutil.copy(scenes / "textured_wall" / name, tmp_path)
@@ -190,7 +192,7 @@ def test_every_option_that_changes_a_result_is_among_the_settings(tmp_path: Path
     assert arguments == judging
 
 
-@pytest.mark.parametrize("levels", [0, 1])
+@pytest.mark.parametrize("levels", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_the_bound_is_that_of_the_pixels_that_the_estimator_has(levels: int) -> None:
     options = OPTIONS | {"size": (24, 18), "trials": 24, "confidence": 0.999, "levels": levels}
     found = validate(textured_wall(), pixels="random:0.3", **options)
@@ -224,6 +226,7 @@ def test_pixels_that_are_not_finite_belong_neither_to_trials_nor_to_the_bound() 
 BOXES: dict[str, Any] = {"size": (16, 12), "integrator": {"type": "path", "max_depth": 4}, "seed": 5}
 
 
+@pytest.mark.slow
 def test_where_the_renderers_noise_decides_the_verdict_is_inconclusive(scenes: Path) -> None:
     """Few paths among edges and in indirect light are neither an agreement nor an alarm."""
     noisy = validate(scenes / "boxes" / "boxes.xml", trials=16, spp=16, **BOXES)
@@ -240,6 +243,7 @@ def test_where_the_renderers_noise_decides_the_verdict_is_inconclusive(scenes: P
     assert noisy.cure in validation_figure(noisy).get_suptitle()
 
 
+@pytest.mark.slow
 def test_a_wrong_bound_is_inconsistent_and_the_verdict_stands_below_the_table() -> None:
     """Negative control: information scaled by 1.5 is that of less noise, by a root of 1.5."""
     options = OPTIONS | {"trials": 80, "size": (12, 9), "spp": 64}
@@ -252,6 +256,7 @@ def test_a_wrong_bound_is_inconsistent_and_the_verdict_stands_below_the_table() 
     assert (right.verdict, right.exit_code, right.cure) == ("consistent", 0, "")
 
 
+@pytest.mark.slow
 def test_without_a_number_of_paths_the_renderers_part_is_made_small(tmp_path: Path, scenes: Path) -> None:
     """The same number, when resumed, and the same trials as with that number."""
     boxes, file = scenes / "boxes" / "boxes.xml", tmp_path / "trials.json"

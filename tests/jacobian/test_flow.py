@@ -333,6 +333,7 @@ def grey_room(depth: int = 24, rr_depth: int = 2) -> dict[str, Any]:
     return scene(light=dark, lamp=lamp, sensor=camera(24, 18), **objects) | {"integrator": integrator}
 
 
+@pytest.mark.slow
 def test_roulette_changes_no_mean_and_saves_variance(monkeypatch: pytest.MonkeyPatch) -> None:
     """Those of `path`, image and Jacobian, to 4 combined errors; not those of paths cut short.
 

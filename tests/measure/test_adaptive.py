@@ -150,7 +150,7 @@ def test_a_scene_that_no_number_of_paths_resolves_ends_with_limits() -> None:
         {"pixels": "gradient:0.3"},
         {"nuisances": ("gain", "fov")},
         {"nuisances": ("gain:16",)},
-        {"noise": PoissonGaussian(gain=1e-4, read_noise=0.01)},
+        pytest.param({"noise": PoissonGaussian(gain=1e-4, read_noise=0.01)}, marks=pytest.mark.slow),
         {"noise": Stationary(1e-4 * np.outer([0.3, 1.0, 0.3], [0.3, 1.0, 0.3]))},
         {"method": "finite_difference"},
         {"batches": 8},

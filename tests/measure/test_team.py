@@ -204,6 +204,7 @@ def test_a_rendered_rig_s_joint_information_is_that_of_its_images_stacked_and_mo
 
 
 class TestProcesses:
+    @pytest.mark.slow
     def test_results_do_not_depend_on_the_number_of_processes_or_the_order(self, tmp_path: Path) -> None:
         alone = fuse_team(load_team(written(tmp_path)), workers=1)
         spawned = fuse_team(load_team(written(tmp_path)), workers=2)

@@ -74,6 +74,7 @@ CHANGES: dict[str, tuple[str, Callable[[Any], Any]]] = {
 }
 
 
+@pytest.mark.slow
 def test_what_changes_in_the_scene_is_seen(traced: Callable[..., np.ndarray]) -> None:
     """One after the other. A principled material has a metallic lobe only once its metal is set."""
     which = mi.load_dict(SCENE)
