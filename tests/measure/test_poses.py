@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Sequence
 from typing import Any
@@ -13,7 +14,8 @@ from small_scenes import T, camera, scene, texture, wall
 
 from mitsuba_crb import pose_bound, pose_bounds, se3
 from mitsuba_crb.bound.cramer_rao import PoseBound
-from mitsuba_crb.errors import NoiseError, PoseError, PrecisionError
+from mitsuba_crb.camera import Intrinsics
+from mitsuba_crb.errors import NoiseError, OptionError, PoseError, PrecisionError
 from mitsuba_crb.measure.pose_table import PoseRow, PoseTable
 from mitsuba_crb.measure.poses import pose_table
 from mitsuba_crb.noise import Gaussian
@@ -47,6 +49,17 @@ def test_each_bound_is_that_of_its_pose_alone(options: dict[str, Any]) -> None:
     white = found[0].provenance["noise"]["white"]
     for pose, bound in zip(PATH, found, strict=True):
         assert same(bound, pose_bound(WORLD, pose=pose, exposure=white, **options))
+
+
+def test_a_calibration_takes_the_sensor_s_place_at_every_pose() -> None:
+    lens = Intrinsics((24, 18), (25.0, 26.0), (11.5, 9.25), "opencv", (-0.1, 0, 0, 0, 0, 0, 0, 0))
+    options: dict[str, Any] = {"spp": 16, "camera": lens}
+    found = pose_bounds(WORLD, PATH[:2], Gaussian(0.02), **options)
+    for pose, bound in zip(PATH, found, strict=False):
+        assert same(bound, pose_bound(WORLD, Gaussian(0.02), pose=pose, **options))
+    other = dataclasses.replace(lens, distortion=(-0.2, *lens.distortion[1:]))
+    one, two = (pose_table(WORLD, PATH[:1], spp=16, camera=each).settings["camera"] for each in (lens, other))
+    assert one != two
 
 
 def test_bounds_do_not_depend_on_the_order_of_the_poses() -> None:
@@ -104,6 +117,11 @@ def test_what_is_no_pose_is_named_by_its_place() -> None:
         pose_table(WORLD, PATH, names=["a", "b"], **FEW)
     with pytest.raises(PoseError, match="on a line"):
         pose_table(WORLD, PATH, names=["a", "b\n", "c"], **FEW)
+
+
+def test_a_pose_beside_the_poses_is_refused() -> None:
+    with pytest.raises(OptionError, match="leave out pose"):
+        pose_bounds(WORLD, PATH, pose=PATH[0], **FEW)
 
 
 def test_an_error_at_a_pose_names_it() -> None:
