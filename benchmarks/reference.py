@@ -35,9 +35,9 @@ from mitsuba_crb.measure.versions import versions
 from mitsuba_crb.noise import Gaussian
 
 TESTS = Path(__file__).parents[1] / "tests"
-sys.path.insert(0, str(TESTS))
+sys.path[:0] = [str(TESTS), str(TESTS / "jacobian")]
 
-from flow_scenes import OTHERS, ROWS, digest  # noqa: E402
+from flow_scenes import OTHERS, ROWS  # noqa: E402
 from test_flow_table import compared  # noqa: E402
 
 FOLDER = TESTS / "jacobian" / "references"
@@ -48,7 +48,7 @@ BATCHES = 16
 def extrapolated(name: str, *, spp: int, seed: int, step: float) -> tuple[FisherInformation, np.ndarray]:
     """F by Richardson's extrapolation, and diag F(h) / diag F − 1."""
     row, jacobians = ROWS[name], []
-    options = {"size": row.size, "spp": spp, "seed": seed, "batches": BATCHES}
+    options = {**row.options, "spp": spp, "seed": seed, "batches": BATCHES}
     for pixels in (step, 2.0 * step):
         with measurement(row.scene(), method="finite_difference", step_pixels=pixels, **options) as measured:
             jacobians.append(measured.jacobian())
@@ -66,7 +66,7 @@ def run(name: str, *, spp: int, seed: int, step: float) -> None:
     file = FOLDER / f"{name}.json"
     settings = {
         "scene": name,
-        "digest": digest(ROWS[name].scene()),
+        "digest": ROWS[name].digest(),
         "method": "finite_difference, (4 D(h) - D(2h)) / 3",
         "frame": "camera, translation first",
         "units": "matrix [1/scene unit^2, 1/(scene unit rad), 1/rad^2]",
@@ -119,7 +119,7 @@ def compare(names: list[str]) -> None:
     """Flow beside the references, in per cent, as the test of the table has it; and its preparation."""
     table = Table("scene", "paths", "error", "diagonal", "off-diagonal", "prepare s")
     for name in names:
-        with measurement(ROWS[name].scene(), size=ROWS[name].size) as measured:
+        with measurement(ROWS[name].scene(), **ROWS[name].options) as measured:
             start = time.perf_counter()
             prepared = measured.method
             seconds = time.perf_counter() - start

@@ -15,8 +15,11 @@ from typing import Any
 import numpy as np
 from small_scenes import T, camera, mi, scene, texture, wall
 
+from mitsuba_crb.camera import Intrinsics
+
 SHIPPED = Path(__file__).parents[1] / "scenes"
 OTHERS = Path(__file__).parents[2] / "shared" / "data" / "mitsuba"
+NONE = (0.0,) * 4
 SIZE = (24, 18)
 """Width and height [pixel]."""
 
@@ -217,10 +220,21 @@ class Row:
     """Largest combined standard error, relative."""
     size: tuple[int, int] = SIZE
     """Width and height [pixel]."""
+    lens: Intrinsics | None = None
+    """In place of the scene's camera, and of that size."""
 
     def scene(self) -> Any:
         """What can be measured."""
         return self.which() if callable(self.which) else self.which
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """What a measurement is told besides."""
+        return {"size": self.size, "camera": self.lens}
+
+    def digest(self) -> str:
+        """What is measured, in twelve letters; equal for equal scenes and lenses."""
+        return digest(self.scene() if self.lens is None else [self.scene(), self.lens.to_dict()])
 
 
 def digest(value: Any) -> str:
@@ -231,6 +245,8 @@ def digest(value: Any) -> str:
 def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
     if isinstance(value, mi.Bitmap):
         return hashlib.sha256(np.array(value).tobytes()).hexdigest()
     if isinstance(value, mi.Mesh):
@@ -242,6 +258,13 @@ def _plain(value: Any) -> Any:
         return (np.round(np.array(value.matrix), 4) + 0.0).tolist()
     return value.read_text(encoding="utf-8") if isinstance(value, Path) else value
 
+
+LENSES = {
+    "barrel": Intrinsics((48, 36), (45.0, 44.0), (24.7, 17.2), "opencv", (-0.3, 0.08, 4e-3, -3e-3, *NONE)),
+    "pincushion": Intrinsics((48, 36), (40.0, 39.0), (23.2, 18.7), "opencv", (0.3, 0.05, -3e-3, 4e-3, *NONE)),
+    "fisheye": Intrinsics((48, 36), (23.4, 23.4), (24.0, 18.0), "fisheye", (-0.02, 0.01, -0.004, 0.0005)),
+}
+"""The fisheye sees 150° from corner to corner."""
 
 ROWS: dict[str, Row] = {
     "bilinear": Row(before_wall()),
@@ -308,6 +331,11 @@ ROWS: dict[str, Row] = {
     "mitchell_filter": Row(filtered("mitchell")),
     "rims": Row(before_wall(ball=BIG_BALL, pole=POLE)),
     "shipped_boxes": Row(SHIPPED / "boxes" / "boxes.xml", size=(32, 24)),
+    **{
+        f"{lens}_{name}": Row(SHIPPED / name / f"{name}.xml", error=0.007, size=(48, 36), lens=LENSES[lens])
+        for lens in LENSES
+        for name in ("boxes", "checkerboard_wall", "textured_room")
+    },
     **{
         f"real_{name}": Row(partial(relit, name), spp=1024, tolerance=0.03, error=0.015, size=SMALL)
         for name in REAL

@@ -19,7 +19,7 @@ from ..se3 import Array
 from . import lens
 from .intrinsics import Intrinsics
 
-WIDEST_DEG = 85.0
+WIDEST_DEG = 88.0
 """Farthest off the axis that a film point may look: towards 90° its place at depth one goes to infinity."""
 _LEAST = 0.01
 """Least motion on the film per angle, over that on the axis: below, a lens as good as folds."""

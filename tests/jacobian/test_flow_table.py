@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from flow_scenes import OTHERS, ROWS, digest
+from flow_scenes import OTHERS, ROWS, Row
 
 from mitsuba_crb import pose_bound
 from mitsuba_crb.information.fisher import FisherInformation
@@ -30,7 +29,7 @@ def compared(name: str, spp: int) -> tuple[np.ndarray, np.ndarray]:
     if name.startswith("real_") and not OTHERS.is_dir():
         pytest.skip("needs ../shared/data/mitsuba")
     reference = json.loads((REFERENCES / f"{name}.json").read_text(encoding="utf-8"))
-    F = by_flow(row.scene(), row.size, reference["noise_sigma"], spp)
+    F = by_flow(row, reference["noise_sigma"], spp)
     matrix = np.array(reference["matrix"])
     root = np.sqrt(np.diag(matrix))
     error = np.hypot(reference["standard_error"], F.standard_error)
@@ -44,8 +43,9 @@ def without_closure(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(flow, "suspects", lambda *_: np.zeros(len(_[-1].number), dtype=bool))
 
 
-def by_flow(which: Any, size: tuple[int, int], sigma: float, spp: int) -> FisherInformation:
-    return pose_bound(which, Gaussian(sigma), size=size, spp=spp, batches=16, seed=1).information
+def by_flow(row: Row, sigma: float, spp: int) -> FisherInformation:
+    bound = pose_bound(row.scene(), Gaussian(sigma), spp=spp, batches=16, seed=1, **row.options)
+    return bound.information
 
 
 def assert_close(
@@ -78,7 +78,7 @@ def test_few_paths_agree_with_the_references_too(name: str) -> None:
 @pytest.mark.parametrize("name", [name for name in ROWS if not name.startswith("real_")])
 def test_references_belong_to_the_scenes(name: str) -> None:
     reference = json.loads((REFERENCES / f"{name}.json").read_text(encoding="utf-8"))
-    assert reference["digest"] == digest(ROWS[name].scene())
+    assert reference["digest"] == ROWS[name].digest()
 
 
 @pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")
