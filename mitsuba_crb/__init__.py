@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from .measure.tiles import tile_information as tile_information
     from .render.scene import SceneFile as SceneFile
     from .render.scene import load_scene as load_scene
+    from .render.world import load_world as load_world
 
 pip_llvm.name_to_drjit()
 
@@ -88,6 +89,7 @@ _HOME = {
     "load_capture": "datasets.captures",
     "Poses": "datasets.pose_list",
     "load_poses": "datasets.poses",
+    "load_world": "render.world",
     "select_tiles": "agents.selection",
     "Budget": "agents.tiles",
     "validate": "estimate.trials",

@@ -42,6 +42,23 @@ def parse_defines(texts: list[str] | None) -> dict[str, str]:
     return defines
 
 
+def scene_defines(scene: Path, texts: list[str] | None, light: str | None, up: str | None) -> dict[str, str]:
+    """What is said of a scene: "name=value" texts, and of a world's file its light and the axis that is up.
+
+    Raises:
+        OptionError: one of the last two, and the file is none of a world.
+    """
+    from ..render.world import ENDINGS, is_world
+
+    said = {name: value for name, value in (("light", light), ("up", up)) if value is not None}
+    if said and not is_world(scene):
+        raise OptionError(
+            f"--{next(iter(said))} is of worlds ({', '.join(ENDINGS)}), and {scene} is a scene file with "
+            "lights of its own; leave it out"
+        )
+    return parse_defines(texts) | said
+
+
 def pose_file(text: str | None) -> Path | None:
     """The file that a `--pose` text names, or None if the text is the pose itself or is not given."""
     return None if text is None or _numbers(text) is not None else Path(text)

@@ -17,6 +17,7 @@ from .options import (
     DropInvalid,
     Exposure,
     Integrator,
+    Light,
     MaxSpp,
     Method,
     NoClip,
@@ -31,6 +32,7 @@ from .options import (
     Sigma,
     Size,
     Spp,
+    Up,
     Variant,
 )
 from .outcome import answered, foreseen, measuring
@@ -51,6 +53,8 @@ def bound(
     batches: Batches = MeasurementOptions.batches,
     size: Size = None,
     define: Define = None,
+    light: Light = None,
+    up: Up = None,
     sigma: Sigma = None,
     exposure: Exposure = None,
     no_clip: NoClip = False,
@@ -128,10 +132,10 @@ def bound(
     with foreseen(debug, variant):
         from ..export.targets import check_targets
         from .arguments import (
-            parse_defines,
             parse_displacements,
             parse_exposure,
             parse_noise,
+            scene_defines,
             view_files,
             view_options,
         )
@@ -155,7 +159,7 @@ def bound(
             batches=batches,
         )
         options |= {"exposure": parse_exposure(exposure), "clip": not no_clip}
-        defines = parse_defines(define)
+        defines = scene_defines(scene, define, light, up)
         noise = parse_noise(sigma, noise_file)
         twists = parse_displacements(displacements, hcr=hcr)
         given = [poses, prior, noise_file, displacements]

@@ -13,6 +13,7 @@ from .options import (
     Define,
     DropInvalid,
     Integrator,
+    Light,
     Pixels,
     Pose,
     Scene,
@@ -20,6 +21,7 @@ from .options import (
     Sensor,
     Size,
     Spp,
+    Up,
     Variant,
 )
 from .outcome import console, foreseen, measuring
@@ -44,6 +46,8 @@ def check(
     batches: Batches = CHECKING["batches"],
     size: Size = None,
     define: Define = None,
+    light: Light = None,
+    up: Up = None,
     pixels: Pixels = None,
     drop_invalid: DropInvalid = False,
     integrator: Integrator = None,
@@ -56,7 +60,7 @@ def check(
     allowed cannot tell.
     """
     with foreseen(debug, variant):
-        from .arguments import parse_defines, view_options
+        from .arguments import scene_defines, view_options
 
         options = view_options(
             sensor=sensor,
@@ -70,7 +74,7 @@ def check(
             seed=seed,
             batches=batches,
         )
-        defines = parse_defines(define)
+        defines = scene_defines(scene, define, light, up)
 
         from ..measure.check import check_jacobian
         from ..render.scene import SceneFile

@@ -7,7 +7,23 @@ from typing import Annotated, Literal
 
 import typer
 
-Scene = Annotated[Path, typer.Argument(metavar="SCENE", help="A Mitsuba 3 scene file (.xml).")]
+Scene = Annotated[
+    Path,
+    typer.Argument(
+        metavar="SCENE", help="A Mitsuba 3 scene file (.xml), or a world's: .glb, .gltf, .obj, .ply, .stl."
+    ),
+]
+Light = Annotated[
+    str | None,
+    typer.Option(
+        metavar="constant:L|sky|FILE.exr|baked|none",
+        help="Light of a world, in place of constant:1; baked: its colours are the radiance, as in scans.",
+    ),
+]
+Up = Annotated[
+    str | None,
+    typer.Option(metavar="AXIS", help="Where the sky of a world is: x, y, z, -x, -y or -z; glTF's is y."),
+]
 Sensor = Annotated[str, typer.Option(metavar="S", help="The camera: index or id.")]
 Pose = Annotated[
     str | None,

@@ -15,6 +15,7 @@ from .options import (
     DropInvalid,
     Exposure,
     Integrator,
+    Light,
     Method,
     Pixels,
     Pose,
@@ -24,6 +25,7 @@ from .options import (
     Sigma,
     Size,
     Spp,
+    Up,
     Variant,
     Workers,
 )
@@ -68,6 +70,8 @@ def validate(
     batches: Batches = MeasurementOptions.batches,
     size: Size = None,
     define: Define = None,
+    light: Light = None,
+    up: Up = None,
     pixels: Pixels = None,
     drop_invalid: DropInvalid = False,
     integrator: Integrator = None,
@@ -91,7 +95,7 @@ def validate(
     """
     with foreseen(debug, variant):
         from ..export.targets import check_targets
-        from .arguments import parse_defines, parse_exposure, view_files, view_options
+        from .arguments import parse_exposure, scene_defines, view_files, view_options
 
         options = view_options(
             sensor=sensor,
@@ -107,7 +111,7 @@ def validate(
             batches=batches,
         )
         options |= {"exposure": parse_exposure(exposure)}
-        defines = parse_defines(define)
+        defines = scene_defines(scene, define, light, up)
         inputs = view_files(scene, pose, pixels)
         check_targets({"--json": json_file, "--plot": plot_file}, inputs, resumed=("--json",))
 

@@ -1,6 +1,6 @@
 """What a scene is, in a few letters: equal for equal scenes, another one after an edit.
 
-The text of its XML files counts, and of the scene that was loaded every parameter's value and every object's
+The bytes of its files count, and of the scene that was loaded every parameter's value and every object's
 description, so that textures and meshes count by their contents. Of a scene that came as an object there is
 no text: what Mitsuba neither prints nor exposes, such as a texture's interpolation, goes unnoticed there.
 """
@@ -12,12 +12,14 @@ import json
 import os
 import re
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .scene import SceneFile, contents, read_file
+from .world import is_world
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -61,4 +63,7 @@ def _written(source: Any, defines: Mapping[str, str] | None) -> Iterator[bytes]:
     if isinstance(source, Mapping):
         yield json.dumps(source, sort_keys=True, default=lambda value: type(value).__name__).encode()
     elif isinstance(source, str | os.PathLike):
-        yield from (file.read_bytes() for file in read_file(SceneFile(source, defines or {})).files)
+        if is_world(Path(source)):
+            yield Path(source).read_bytes()
+        else:
+            yield from (file.read_bytes() for file in read_file(SceneFile(source, defines or {})).files)

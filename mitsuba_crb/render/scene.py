@@ -19,6 +19,7 @@ from .fit import Wanted, fit
 from .instantiate import instantiate
 from .lending import turns
 from .scene_file import Parsed, at, parse
+from .world import OPTIONS, is_world, load_world
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -33,9 +34,9 @@ class SceneFile:
     meshes apart if their parameters are asked for."""
 
     path: str | os.PathLike[str]
-    """Of the XML file."""
+    """Of the XML file, or of a world's (see `world`)."""
     defines: Mapping[str, str] = field(default_factory=dict)
-    """Values of its `<default>`s."""
+    """Values of its `<default>`s; of a world: up, light and fov."""
 
 
 @contextlib.contextmanager
@@ -163,6 +164,8 @@ def _from_file(source: SceneFile, wanted: Wanted) -> mi.Scene:
     import mitsuba as mi
 
     file = Path(source.path)
+    if is_world(file):
+        return _from_dictionary(_world(file, source.defines), wanted, file)
     parsed = read_file(source)
     with _loading(), _names_relative_to(file.parent):
         loaded = _made(parsed, wanted, file)
@@ -171,7 +174,17 @@ def _from_file(source: SceneFile, wanted: Wanted) -> mi.Scene:
     return loaded
 
 
-def _from_dictionary(scene: Mapping[str, Any], wanted: Wanted) -> Any:
+def _world(file: Path, defines: Mapping[str, str]) -> dict[str, Any]:
+    unknown = sorted(set(defines) - set(OPTIONS))
+    if unknown:
+        raise SceneError(
+            f"{file} has no <default> named {', '.join(unknown)}; a world has {', '.join(OPTIONS)}"
+        )
+    options: dict[str, Any] = dict(defines)
+    return load_world(file, **options)
+
+
+def _from_dictionary(scene: Mapping[str, Any], wanted: Wanted, file: Path | None = None) -> Any:
     import mitsuba as mi
 
     try:
@@ -179,7 +192,7 @@ def _from_dictionary(scene: Mapping[str, Any], wanted: Wanted) -> Any:
     except Exception as error:  # Mitsuba raises RuntimeError and others for a bad dictionary
         where, cause = innermost(error)
         raise SceneError(f"dict: {at(where, None)}{cured(cause)}") from error
-    return _made(Parsed(state), wanted, None)
+    return _made(Parsed(state), wanted, file)
 
 
 def _made(parsed: Parsed, wanted: Wanted, file: Path | None) -> Any:

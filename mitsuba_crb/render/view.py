@@ -29,6 +29,7 @@ from ..errors import (
     FilmError,
     MitsubaCRBError,
     OptionError,
+    PoseError,
     SceneWarning,
     SensorError,
     TracingError,
@@ -204,7 +205,7 @@ def open_view(
     Another thread's view waits until this one is closed.
 
     Args:
-        scene: path of an XML file, a `SceneFile`, a dictionary for `mi.load_dict`, or an `mi.Scene`.
+        scene: path of an XML file or a world's, a `SceneFile`, a dictionary, or an `mi.Scene`.
         sensor: index in the file's order, or id; also of a child of a batch sensor in a file or dictionary.
         pose: `world_from_camera` (4x4 or SciPy `RigidTransform`) in place of the file's `to_world`.
         integrator: an `mi.Integrator`, a plugin's name, or a dictionary, in place of the scene's.
@@ -237,6 +238,11 @@ def open_view(
         _check_shape(lent, variable, size)
         radiance = find_integrator(loaded, lent, integrator)
         with at_identity(lent, variable, size) as to_world:
+            if pose is None and np.isnan(to_world).all():
+                raise PoseError(
+                    f"sensor {variable} stands nowhere: its to_world has entries that are NaN, as that of a "
+                    "world without a camera has; say its pose (--pose, pose=)"
+                )
             found = (to_world, "the sensor's to_world") if pose is None else (pose,)
             world_from_camera = se3.as_pose(*found)
             width, height = lent.film().crop_size()
