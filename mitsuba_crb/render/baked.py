@@ -9,8 +9,6 @@ from __future__ import annotations
 import functools
 from typing import TYPE_CHECKING, Any
 
-import drjit as dr
-
 if TYPE_CHECKING:
     import mitsuba as mi
 
@@ -18,6 +16,7 @@ if TYPE_CHECKING:
 @functools.cache
 def _class(_variant: str) -> Any:
     """The emitter of a variant, whose classes Mitsuba has only once it is set."""
+    import drjit as dr
     import mitsuba as mi
 
     class Baked(mi.Emitter):  # type: ignore[misc]  # Mitsuba is untyped here

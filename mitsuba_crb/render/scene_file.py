@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import SceneError
 from .cures import TAGS, cured, innermost, one_line
+from .world import ENDINGS
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -55,12 +56,24 @@ def parse(config: mi.parser.ParserConfig, file: Path, defines: Mapping[str, str]
         raise SceneError(f"{file} is a folder; name the scene's .xml file")
     if not os.path.isfile(file):
         raise SceneError(f"no scene file at {file}")
+    if file.suffix.lower() != ".xml" and not _begins_as_xml(file):
+        raise SceneError(
+            f"{file} is no XML, and no world: those end in {', '.join(ENDINGS)}; export it as .glb"
+        )
     try:
         state = mi.parser.parse_file(config, str(file), **defines)
         return Parsed(state, files=tuple(Path(str(name)) for name in state.files))
     except Exception as error:  # Mitsuba raises RuntimeError and others for a bad scene file
         _check_defines(error, file)
         return _search(config, file, dict(defines))
+
+
+def _begins_as_xml(file: Path) -> bool:
+    try:
+        with file.open("rb") as opened:
+            return opened.read(64).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<")
+    except OSError as error:
+        raise SceneError(f"{file} cannot be read: {error.strerror}") from error
 
 
 def _check_defines(error: Exception, file: Path) -> None:
