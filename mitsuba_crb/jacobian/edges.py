@@ -55,30 +55,34 @@ class EdgeTable:
             faces: (F, 3) their vertices.
         """
         weld, positions = _weld(vertices)
-        corner = positions[weld[faces]]
+        corners = weld[faces]
+        first, second, third = (positions[corners[:, k]] for k in range(3))
         with np.errstate(invalid="ignore", over="ignore"):
-            normals = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-            longest = np.max(np.sum((corner - np.roll(corner, 1, axis=1)) ** 2, axis=2), axis=1, initial=0.0)
-            kept = np.linalg.norm(normals, axis=1) > _DEGENERATE * longest
-        kept &= np.isfinite(corner).all(axis=(1, 2))
+            along, across, beyond = second - first, third - first, third - second
+            normals = _cross(along, across)
+            longest = np.maximum(np.maximum(_squared(along), _squared(across)), _squared(beyond))
+            # Of a face that is not finite one side is no number, and not more than anything.
+            kept = np.sqrt(_squared(normals)) > _DEGENERATE * longest
         face = np.flatnonzero(kept)
-        start = weld[faces[face]].ravel()
-        end = np.roll(weld[faces[face]], -1, axis=1).ravel()
-        key = np.minimum(start, end) * len(positions) + np.maximum(start, end)
-        order = np.argsort(key, kind="stable")
-        unique, first = np.unique(key[order], return_index=True)
-        first = np.append(first, len(key))
-        count = np.diff(first)
+        start = corners[face]
+        end = start[:, [1, 2, 0]].ravel()
+        start = start.ravel()
+        low, high = np.minimum(start, end), np.maximum(start, end)
+        order, begins = _grouped(low * len(positions) + high, len(positions) ** 2)
+        count = np.diff(begins)
+        edges = np.empty(len(order), dtype=np.int64)
+        edges[order] = np.repeat(np.arange(len(count)), count)
         face_edges = np.full((len(faces), 3), -1)
-        face_edges[face[order // 3], order % 3] = np.repeat(np.arange(len(unique)), count)
+        face_edges[face] = edges.reshape(-1, 3)
+        named = order[begins[:-1]]
         return EdgeTable(
-            ends=positions[np.stack([unique // len(positions), unique % len(positions)], axis=1)],
-            first=first,
+            ends=positions[np.stack([low[named], high[named]], axis=1)],
+            first=begins,
             half_face=order // 3,
             half_sign=np.where(start < end, 1, -1).astype(np.int8)[order],
             normals=normals[face],
-            points=corner[face, 0],
-            corners=weld[faces],
+            points=first[face],
+            corners=corners,
             face=face,
             face_edges=face_edges,
             dropped=len(faces) - len(face),
@@ -211,3 +215,31 @@ def _weld(vertices: NDArray[np.float32]) -> tuple[Ints, Floats]:
         column.astype(np.uint64) << np.uint64(32) | bits[:, 2], return_index=True, return_inverse=True
     )
     return weld.astype(np.int64), vertices[index].astype(np.float64)
+
+
+def _grouped(key: Ints, most: int) -> tuple[Ints, Ints]:
+    """The order that sorts keys below `most`, equal ones as they come, and where each key's begin (and end).
+
+    Where both fit into 63 bits, key and place are sorted as one number, which takes a third of the time.
+    """
+    bits = len(key).bit_length()
+    if most << bits < 1 << 63:
+        packed = (key << bits) | np.arange(len(key))
+        packed.sort()
+        order, found = packed & ((1 << bits) - 1), packed >> bits
+    else:
+        order = np.argsort(key, kind="stable")
+        found = key[order]
+    return order, np.append(np.flatnonzero(np.diff(found, prepend=-1)), len(key))
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """a × b, row by row, in a third of NumPy's time."""
+    product = np.empty_like(a)
+    for i in range(3):
+        np.subtract(a[:, i - 2] * b[:, i - 1], a[:, i - 1] * b[:, i - 2], out=product[:, i])
+    return product
+
+
+def _squared(vectors: Floats) -> Floats:
+    return np.asarray(np.einsum("ij,ij->i", vectors, vectors))

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 
     from .view import View
 
+_KNOWN = ("mitsuba", f"{__package__}.baked")
+"""Modules whose objects show all their parameters."""
+
 
 @contextlib.contextmanager
 def uncollected() -> Iterator[None]:
@@ -127,13 +130,13 @@ def _evaluated(results: Any) -> Any:
 def _state(scene: mi.Scene) -> tuple[list[Any], list[Any]] | None:
     """The scene's parameters, held so that no other array takes an index of theirs, and their identities.
 
-    None if not all can be known: of objects that are written in Python, and of those with a parameter that
+    None if not all can be known: of objects that others write in Python, and of those with a parameter that
     has no value.
     """
     import mitsuba as mi
 
     objects = (node for node in contents(scene) if not isinstance(node, mi.Integrator))
-    if any(type(node).__module__ != "mitsuba" for node in objects):
+    if any(type(node).__module__ not in _KNOWN for node in objects):
         return None
     try:  # Copies, because Mitsuba's own follow what is set.
         parameters = [(name, type(value)(value)) for name, value in mi.traverse(scene)]

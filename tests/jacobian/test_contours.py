@@ -23,7 +23,7 @@ from mitsuba_crb.jacobian import finite_difference, flow, surfaces
 from mitsuba_crb.jacobian.closure import FilmBlocks
 from mitsuba_crb.jacobian.contours import ParallaxTerm, find_contours
 from mitsuba_crb.jacobian.curves import CIRCLE, RIM, TANGENT, Curves, cut, place
-from mitsuba_crb.jacobian.edges import EdgeTable
+from mitsuba_crb.jacobian.edges import EdgeTable, _grouped
 from mitsuba_crb.jacobian.method import Paths
 from mitsuba_crb.jacobian.silhouettes import Contours
 from mitsuba_crb.jacobian.surfaces import edge_table
@@ -98,6 +98,17 @@ def test_faces_without_area_and_not_finite_are_dropped_and_counted() -> None:
     table, edges, _ = silhouette(np.concatenate([vertices, extra]), np.concatenate([faces, bad]), (5, 4, 3))
     assert table.dropped == 4
     assert edges == silhouette(vertices, faces, (5, 4, 3))[1]
+
+
+@pytest.mark.parametrize("most", [50, 1 << 62])
+def test_keys_are_grouped_in_the_order_in_which_they_come(most: int) -> None:
+    """Of meshes so large that key and place have more than 63 bits, too."""
+    key = np.random.default_rng(0).integers(0, 50, 400)
+    order, begins = _grouped(key, most)
+    np.testing.assert_array_equal(order, np.argsort(key, kind="stable"))
+    groups = np.split(key[order], begins[1:-1])
+    assert [set(group.tolist()) for group in groups] == [{k} for k in np.unique(key)]
+    assert begins[-1] == len(key)
 
 
 def test_scene_without_meshes_has_no_edges() -> None:

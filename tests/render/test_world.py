@@ -14,10 +14,15 @@ from PIL import Image
 from mitsuba_crb import SceneFile, load_scene, load_world, pose_bound
 from mitsuba_crb.errors import OptionError, PoseError, SceneError, SceneWarning
 from mitsuba_crb.noise import Gaussian
+from mitsuba_crb.render.backend import use_mitsuba
 from mitsuba_crb.render.fingerprint import fingerprint
 from mitsuba_crb.render.pixels import render_pixels
 from mitsuba_crb.render.scene import as_scene
 from mitsuba_crb.render.view import open_view
+
+use_mitsuba()
+
+import mitsuba as mi  # noqa: E402  the variant comes first
 
 FRONT = np.array([[-1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 2], [0, 0, 0, 1]])
 """Two units before the square, x to the right and y up in the image."""
@@ -263,6 +268,19 @@ def test_a_worlds_fingerprint_is_of_its_contents(tmp_path: Path) -> None:
     assert letters[0] == letters[1] != letters[2]
     with pytest.raises(SceneError, match="has no <default> named spp; a world has up, light, fov"):
         load_scene(one, spp="4")
+
+
+def test_a_colour_that_is_set_is_seen(tmp_path: Path) -> None:
+    """Kernels that are recorded hold nothing of what a scene's parameters were."""
+    scene = mi.load_dict(
+        load_world(textured(tmp_path / "a.glb", np.full((4, 4, 3), 188, np.uint8)), light="baked", fov=30)
+    )
+    assert image(scene, size=(8, 6)).mean() == pytest.approx(0.50289, rel=WEIGHTS)
+    parameters = mi.traverse(scene)
+    (name,) = (name for name, _ in parameters if name.endswith("radiance.data"))
+    parameters[name] = 0.5 * parameters[name]
+    parameters.update()
+    assert image(scene, size=(8, 6)).mean() == pytest.approx(0.25144, rel=WEIGHTS)
 
 
 def test_meshes_have_names_of_their_own(tmp_path: Path) -> None:
