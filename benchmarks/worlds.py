@@ -1,6 +1,6 @@
 """A scanned room of a million triangles: seconds of load, prepare, render and bound.
 
-    python benchmarks/worlds.py                    # 1,000,000 triangles, 640x480, 64 paths a pixel
+    python benchmarks/worlds.py                    # 1,000,000 triangles, 320x240, 64 paths a pixel
     python benchmarks/worlds.py --triangles 100000 --size 160x120
 
 A room of 6 x 5 x 3 metres with furniture, all its surfaces bumpy as scanners make them, one texture of 4096
@@ -182,7 +182,7 @@ def main() -> None:
     """Measure, print and keep."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--triangles", type=int, default=1_000_000)
-    parser.add_argument("--size", default="640x480")
+    parser.add_argument("--size", default="320x240")
     parser.add_argument("--spp", type=int, default=64, help="paths per pixel")
     parser.add_argument("--file", type=Path, default=Path("/tmp/room.glb"), help="where the room is written")
     parser.add_argument("--light", action="append", help="default: baked and constant:1")

@@ -192,16 +192,20 @@ class EdgeTable:
             axis: (3,) the optical axis in the world.
         """
         height = np.einsum("ij,ij->i", self.normals, self.points - centre)
-        across = self.normals - np.outer(self.normals @ axis, axis)
-        reach = lens_radius * np.linalg.norm(across, axis=1) if lens_radius > 0.0 else np.zeros(len(height))
         sign = np.where(height >= 0.0, 1, -1).astype(np.int8)
-        sign[np.abs(height) < reach] = 0  # either side, depending on the lens point
+        if lens_radius > 0.0:
+            across = self.normals - np.outer(self.normals @ axis, axis)
+            reach = lens_radius * np.linalg.norm(across, axis=1)
+            sign[np.abs(height) < reach] = 0  # either side, depending on the lens point
         half = sign[self.half_face] * self.half_sign
         if not len(half):
             return np.empty(0, dtype=np.int64)
-        both = (np.minimum.reduceat(half, self.first[:-1]) < 0) & (
-            np.maximum.reduceat(half, self.first[:-1]) > 0
-        )
+        both = half[self.first[:-1]] * half[self.first[1:] - 1] < 0
+        many = np.flatnonzero(np.diff(self.first) > 2)
+        low, high = half[self.first[many]], half[self.first[many]]
+        for has, beside in self._around(many):
+            low[has], high[has] = np.minimum(low[has], half[beside]), np.maximum(high[has], half[beside])
+        both[many] = (low < 0) & (high > 0)
         return np.flatnonzero(~both)
 
 
