@@ -17,7 +17,8 @@ Light = Annotated[
     str | None,
     typer.Option(
         metavar="constant:L|sky|FILE.exr|baked|none",
-        help="Light of a world, in place of constant:1; baked: its colours are the radiance, as in scans.",
+        help="Light of a world, besides lamps in its file; baked: its colours are the radiance, as in scans. "
+        "Default: constant:1 of files without lamps.",
     ),
 ]
 Up = Annotated[

@@ -1,9 +1,10 @@
-"""glTF and GLB files: the scene graph flattened, materials, textures and cameras.
+"""glTF and GLB files: the scene graph flattened, materials, textures, cameras and lamps.
 
-Read here and not by trimesh, which rounds colours to bytes, keeps one camera, drops `KHR_materials_unlit`,
-texture transforms and samplers, and says nothing of textures that are missing. World: metres, right-handed,
-y up. Cameras look along −z with y up; `se3`'s have x left, y up, z forward. Source: Khronos, glTF 2.0
-specification, 3.5 (nodes), 3.7 (meshes), 3.9 (materials), 3.10 (cameras).
+Read here and not by trimesh, which rounds colours to bytes, keeps one camera and no lamps, drops
+`KHR_materials_unlit`, texture transforms and samplers, and says nothing of textures that are missing. World:
+metres, right-handed, y up. Cameras look along −z with y up; `se3`'s have x left, y up, z forward. Lamps'
+candela and lux are taken as they stand, of red, green and blue. Source: Khronos, glTF 2.0 specification, 3.5
+(nodes), 3.7 (meshes), 3.9 (materials), 3.10 (cameras); `KHR_lights_punctual`.
 """
 
 from __future__ import annotations
@@ -18,14 +19,21 @@ from numpy.typing import NDArray
 from ..errors import SceneError
 from .gltf_buffers import Buffers
 from .pixels import decoded
-from .textured_mesh import Floats, Material, PlacedCamera, Texture, TexturedMesh, World
+from .textured_mesh import Floats, Lamp, Material, PlacedCamera, Texture, TexturedMesh, World
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _WRAP = {33071: "clamp", 33648: "mirror"}
 _NEAREST = 9728
 _FLIP = np.diag([-1.0, 1.0, -1.0, 1.0])
-"""`se3`'s camera axes in glTF's."""
-_READ = ("KHR_materials_unlit", "KHR_texture_transform", "KHR_mesh_quantization", "EXT_texture_webp")
+"""The axes of `se3`'s cameras, and of lamps here, in those of glTF."""
+_READ = (
+    "KHR_lights_punctual",
+    "KHR_materials_emissive_strength",
+    "KHR_materials_unlit",
+    "KHR_mesh_quantization",
+    "KHR_texture_transform",
+    "EXT_texture_webp",
+)
 _PLAIN, _WHITE = Material("plain", (0.8, 0.8, 0.8)), Material("plain", (1.0, 1.0, 1.0))
 """Of primitives without a material, and of those with colours: diffuse, not glTF's rough metal."""
 _DEEPEST = 200
@@ -60,10 +68,14 @@ def _read(buffers: Buffers) -> World:
     materials = _Materials(buffers)
     meshes: list[TexturedMesh] = []
     cameras: list[PlacedCamera] = []
+    lamps: list[Lamp] = []
     skipped = 0
     for node, matrix in _nodes(document):
         if "camera" in node:
             cameras += _camera(document, node, matrix)
+        lamp = node.get("extensions", {}).get("KHR_lights_punctual")
+        if lamp is not None:
+            lamps.append(_lamp(document, lamp["light"], matrix))
         if "mesh" not in node:
             continue
         mesh = document["meshes"][node["mesh"]]
@@ -74,10 +86,7 @@ def _read(buffers: Buffers) -> World:
             else:
                 skipped += 1
     notes = [f"{skipped} primitives of points or lines are left out"] if skipped else []
-    lights = document.get("extensions", {}).get("KHR_lights_punctual", {}).get("lights", [])
-    if lights:
-        notes.append(f"{len(lights)} lights (KHR_lights_punctual) are left out")
-    return World(meshes, cameras, "y", notes + materials.notes)
+    return World(meshes, cameras, lamps, "y", notes + materials.notes)
 
 
 def _nodes(document: dict[str, Any]) -> Iterator[tuple[dict[str, Any], Floats]]:
@@ -122,11 +131,31 @@ def _camera(document: dict[str, Any], node: dict[str, Any], matrix: Floats) -> l
     camera = document["cameras"][node["camera"]]
     if camera.get("type") != "perspective":
         return []
-    pose = matrix @ _FLIP
-    pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
     name = node.get("name") or camera.get("name") or "camera"
     lens = camera["perspective"]
-    return [PlacedCamera(name, pose, float(lens["yfov"]), lens.get("aspectRatio"))]
+    return [PlacedCamera(name, _placed(matrix), float(lens["yfov"]), lens.get("aspectRatio"))]
+
+
+def _lamp(document: dict[str, Any], index: int, matrix: Floats) -> Lamp:
+    light = document["extensions"]["KHR_lights_punctual"]["lights"][index]
+    red, green, blue = (
+        float(light.get("intensity", 1.0)) * float(value) for value in light.get("color", (1.0, 1.0, 1.0))
+    )
+    cone = light.get("spot", {})
+    return Lamp(
+        light["type"],
+        _placed(matrix),
+        (red, green, blue),
+        float(cone.get("outerConeAngle", np.pi / 4)),
+        float(cone.get("innerConeAngle", 0.0)),
+    )
+
+
+def _placed(matrix: Floats) -> Floats:
+    """The pose of what looks along −z of a node, whatever the node's scale."""
+    pose = matrix @ _FLIP
+    pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
+    return pose
 
 
 def _mesh(

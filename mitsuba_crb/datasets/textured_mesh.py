@@ -1,4 +1,4 @@
-"""What a file of triangles says of a world: meshes where they stand, their materials, cameras.
+"""What a file of triangles says of a world: meshes where they stand, their materials, cameras, lamps.
 
 Coordinates and units are the file's own. Texture coordinates are an image's: (0, 0) is the corner of its
 first pixel, v points down, as in glTF and in Mitsuba. Colours are linear, images encoded as they were stored.
@@ -94,11 +94,27 @@ class PlacedCamera:
 
 
 @dataclass(frozen=True, eq=False)
+class Lamp:
+    """A light without a surface."""
+
+    kind: str
+    """point, spot or directional."""
+    world_from_lamp: Floats
+    """4x4; it shines along its z."""
+    power: tuple[float, float, float]
+    """Intensity, of a directional one irradiance."""
+    outer: float = float(np.pi / 4)
+    inner: float = 0.0
+    """Half angles of a spot's cone: where it ends, and where it begins to fade [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
 class World:
     """A file's contents."""
 
     meshes: list[TexturedMesh]
     cameras: list[PlacedCamera] = field(default_factory=list)
+    lamps: list[Lamp] = field(default_factory=list)
     up: str | None = None
     """The axis that is up, if the format says it."""
     notes: list[str] = field(default_factory=list)

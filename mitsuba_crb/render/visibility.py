@@ -49,4 +49,5 @@ def nothing_visible(view: View) -> str:
 def nothing_lit(view: View) -> str:
     """Why a black image is black, in a sentence."""
     unlit = "the scene has no emitter" if not view.scene.emitters() else "no light reaches what is visible"
+    unlit += "; of a world's file, --light baked lets its colours shine"
     return nothing_visible(view) or unlit

@@ -2,14 +2,16 @@
 
 Positions stay in the file's own coordinates and units (glTF: metres), so that poses mean what they say there.
 `up` tells where the sky is and moves nothing. A file's cameras are the scene's sensors; without any there is
-one that stands nowhere, until a pose is given. Light: `constant:L` from everywhere, `sky` (clear, the sun
-45 degrees high in the direction of the axis after up), an environment's `.exr` or `.hdr` file, `none` (what
-shines in the file), or `baked`: colours are radiance, as in scans, whose photographs hold the light. That is
-the default of files all of whose materials are unlit (`KHR_materials_unlit`); of others it is `constant:1`.
+one that stands nowhere, until a pose is given. Light, besides the file's lamps and what shines in it:
+`constant:L` from everywhere, `sky` (clear, the sun 45 degrees high in the direction of the axis after up), an
+environment's `.exr` or `.hdr` file, or `none`. Or `baked`: no light at all, colours are radiance, as in
+scans, whose photographs hold the light. Default: `baked` of files all of whose materials are unlit
+(`KHR_materials_unlit`), `none` of those with lamps, `constant:1` of others.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import os
 import warnings
@@ -21,7 +23,7 @@ import numpy as np
 
 from ..datasets.gltf import read_gltf
 from ..datasets.scans import read_scan
-from ..datasets.textured_mesh import PlacedCamera, TexturedMesh, World
+from ..datasets.textured_mesh import Lamp, PlacedCamera, TexturedMesh, World
 from ..errors import OptionError, SceneError, SceneWarning
 from .backend import use_mitsuba
 from .materials import ATTRIBUTE, Materials
@@ -79,8 +81,8 @@ def load_world(
     lit = any(not mesh.material.unlit for mesh in world.meshes)
     notes = list(world.notes)
     if light is None:
-        light = "constant:1" if lit else "baked"
-        if lit:
+        light = "baked" if not lit else "none" if world.lamps else "constant:1"
+        if light == "constant:1":
             notes.append(
                 "its light is not said: radiance 1 from everywhere (--light constant:1); scans want baked"
             )
@@ -103,6 +105,8 @@ def load_world(
         scene[name] = sensor | {"id": name}
     if emitter is not None:
         scene["light"] = emitter
+    if light != "baked":
+        scene |= {f"lamp {number}": _lamp(lamp) for number, lamp in enumerate(world.lamps)}
     for mesh in world.meshes:
         name = _new(mesh.name, scene)
         scene[name] = _shape(mesh, name, materials)
@@ -149,7 +153,7 @@ def _checked(file: Path, world: World) -> World:
                 "not numbers; remove them"
             )
         mesh.vertices[bad] = mesh.vertices[mesh.faces[0, 0]]  # of no face, and still in the bounding box
-    return World(meshes, world.cameras, world.up, world.notes)
+    return dataclasses.replace(world, meshes=meshes)
 
 
 def _emitter(light: str, file: Path, up: str | None) -> dict[str, Any] | None:
@@ -245,6 +249,23 @@ def _sensors(cameras: list[PlacedCamera], fov: float | None, diagonal: float) ->
             "film": _film(*_SIZE),
             **planes,
         }
+
+
+def _lamp(lamp: Lamp) -> dict[str, Any]:
+    """Mitsuba's description of a lamp."""
+    import mitsuba as mi
+
+    power = {"type": "rgb", "value": list(lamp.power)}
+    if lamp.kind == "point":
+        return {"type": "point", "position": lamp.world_from_lamp[:3, 3].tolist(), "intensity": power}
+    to_world = mi.ScalarTransform4f(lamp.world_from_lamp)
+    if lamp.kind == "directional":
+        return {"type": "directional", "to_world": to_world, "irradiance": power}
+    angles = {
+        "cutoff_angle": float(np.degrees(lamp.outer)),
+        "beam_width": float(np.degrees(min(lamp.inner, 0.999 * lamp.outer))),
+    }
+    return {"type": "spot", "to_world": to_world, "intensity": power, **angles}
 
 
 def _film(width: int, height: int) -> dict[str, Any]:

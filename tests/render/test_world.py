@@ -182,6 +182,30 @@ def test_what_shines_in_a_file_lights_it(tmp_path: Path) -> None:
     np.testing.assert_allclose(seen.mean(axis=(0, 1)), [0.5, 1.0, 0.0], rtol=WEIGHTS)
 
 
+@pytest.mark.parametrize("kind", ["point", "spot", "directional"])
+def test_lamps_of_a_file_light_it_as_they_should(kind: str, tmp_path: Path) -> None:
+    """By E = I cos θ / r² of a point or within a spot, and E cos θ of a distant light."""
+    glb = Glb()
+    # Without a material it is diffuse.
+    glb.mesh(colours=np.full((4, 3), 0.5, np.float32))
+    lamp = {"type": kind, "intensity": 10.0, "color": [1.0, 0.5, 0.25]}
+    if kind == "spot":
+        lamp["spot"] = {"innerConeAngle": 0.5, "outerConeAngle": 0.6}
+    glb.document["extensions"] = {"KHR_lights_punctual": {"lights": [lamp]}}
+    # A lamp at (3, 0, 4) that shines along (-3, 0, -4)/5.
+    turn = [0.0, float(np.sqrt(0.1)), 0.0, float(np.sqrt(0.9))]
+    glb.node(
+        translation=[3, 0, 4],
+        rotation=turn,
+        scale=[2, 2, 2],
+        extensions={"KHR_lights_punctual": {"light": 0}},
+    )
+    seen = image(SceneFile(glb.write(tmp_path / "a.glb"), {"fov": "2"})).mean(axis=(0, 1))
+    irradiance = 10.0 * 0.8 / (1.0 if kind == "directional" else 25.0)
+    np.testing.assert_allclose(seen, 0.5 / np.pi * irradiance * np.array([1.0, 0.5, 0.25]), rtol=5e-3)
+    assert image(lit(tmp_path / "a.glb")).mean() == pytest.approx(0.5, rel=WEIGHTS)
+
+
 @pytest.mark.parametrize(("up", "axis"), [("z", 2), ("y", 1), ("x", 0), ("-y", -1)])
 def test_the_sky_is_where_up_says(up: str, axis: int, tmp_path: Path) -> None:
     file = textured(tmp_path / "a.glb", np.zeros((2, 2, 3), np.uint8))
@@ -361,3 +385,18 @@ def test_a_cloud_of_points_is_said_to_be_one(tmp_path: Path) -> None:
     trimesh.PointCloud(np.random.default_rng(0).normal(size=(20, 3))).export(tmp_path / "a.ply")
     with pytest.raises(SceneError, match=r"a\.ply has no triangles, as a cloud of points"):
         load_world(tmp_path / "a.ply")
+
+
+def test_others_files_are_read_as_mitsuba_reads_them(real_scenes: Path) -> None:
+    for file in sorted((real_scenes / "cbox" / "meshes").glob("*.obj")):
+        (mesh,) = (part for part in load_world(file, light="baked").values() if isinstance(part, mi.Mesh))
+        theirs = mi.load_dict({"type": "obj", "filename": str(file)})
+        corners = [
+            np.array(shape.vertex_positions_buffer())
+            .reshape(-1, 3)[np.array(shape.faces_buffer())]
+            .reshape(-1, 9)
+            for shape in (mesh, theirs)
+        ]
+        centres, expected = (c.reshape(-1, 3, 3).mean(axis=1) for c in corners)
+        order, other = (np.lexsort(np.round(c, 3).T) for c in (centres, expected))
+        np.testing.assert_allclose(centres[order], expected[other], rtol=1e-6, atol=1e-4)
