@@ -6,7 +6,9 @@ first pixel, v points down, as in glTF and in Mitsuba. Colours are linear, image
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,3 +121,31 @@ class World:
     """The axis that is up, if the format says it."""
     notes: list[str] = field(default_factory=list)
     """What of the file is left out."""
+
+
+def merged(meshes: Sequence[TexturedMesh]) -> list[TexturedMesh]:
+    """Meshes of one material and the same arrays as one, called by it: fewer are faster to trace."""
+    alike: dict[Any, list[TexturedMesh]] = {}
+    for mesh in meshes:
+        arrays = (mesh.normals is None, mesh.uv is None, mesh.colours is None, mesh.colours_of)
+        alike.setdefault((mesh.material, arrays), []).append(mesh)
+    return [group[0] if len(group) == 1 else _joined(group) for group in alike.values()]
+
+
+def _joined(meshes: list[TexturedMesh]) -> TexturedMesh:
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+
+    def together(name: str) -> Any:
+        parts = [getattr(mesh, name) for mesh in meshes]
+        return None if parts[0] is None else np.concatenate(parts)
+
+    return TexturedMesh(
+        meshes[0].material.name,
+        together("vertices"),
+        np.concatenate([mesh.faces + np.uint32(start) for mesh, start in zip(meshes, starts, strict=False)]),
+        meshes[0].material,
+        together("normals"),
+        together("uv"),
+        together("colours"),
+        meshes[0].colours_of,
+    )

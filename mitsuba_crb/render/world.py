@@ -23,7 +23,7 @@ import numpy as np
 
 from ..datasets.gltf import read_gltf
 from ..datasets.scans import read_scan
-from ..datasets.textured_mesh import Lamp, PlacedCamera, TexturedMesh, World
+from ..datasets.textured_mesh import Lamp, PlacedCamera, TexturedMesh, World, merged
 from ..errors import OptionError, SceneError, SceneWarning
 from .backend import use_mitsuba
 from .materials import ATTRIBUTE, Materials
@@ -60,7 +60,8 @@ def load_world(
 ) -> dict[str, Any]:
     """A file of triangles as a Mitsuba dictionary, which everything here takes as a scene.
 
-    More may be put into it, such as lamps or another sensor; `mi.load_dict` makes an `mi.Scene` of it.
+    More may be put into it, such as lamps or another sensor; `mi.load_dict` makes an `mi.Scene` of it. Meshes
+    of one material are one, called by the material.
 
     Args:
         path: a .glb, .gltf, .obj, .ply or .stl file; the last three need trimesh (`mitsuba_crb[worlds]`).
@@ -130,7 +131,7 @@ def _read(file: Path) -> World:
 
 
 def _checked(file: Path, world: World) -> World:
-    """The world, its meshes with faces and numbers in all their vertices."""
+    """The world, its meshes with faces and numbers in all their vertices, those of one material as one."""
     meshes = [mesh for mesh in world.meshes if len(mesh.faces)]
     if not meshes:
         raise SceneError(
@@ -153,7 +154,7 @@ def _checked(file: Path, world: World) -> World:
                 "not numbers; remove them"
             )
         mesh.vertices[bad] = mesh.vertices[mesh.faces[0, 0]]  # of no face, and still in the bounding box
-    return dataclasses.replace(world, meshes=meshes)
+    return dataclasses.replace(world, meshes=merged(meshes))
 
 
 def _emitter(light: str, file: Path, up: str | None) -> dict[str, Any] | None:

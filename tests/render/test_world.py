@@ -307,14 +307,26 @@ def test_a_colour_that_is_set_is_seen(tmp_path: Path) -> None:
     assert image(scene, size=(8, 6)).mean() == pytest.approx(0.2, rel=WEIGHTS)
 
 
-def test_meshes_have_names_of_their_own(tmp_path: Path) -> None:
+def test_meshes_of_one_material_are_one_and_have_a_name_of_its_own(tmp_path: Path) -> None:
     glb = Glb()
-    for _ in range(2):
-        glb.mesh(name="a.wall")
-    glb.mesh(name="camera")
-    world = load_world(glb.write(tmp_path / "a.glb"), light="baked")
-    assert {"a_wall", "a_wall 2", "camera", "camera 2"} <= set(world)
+    paint, paper, wood = (
+        glb.material(name=name, pbrMetallicRoughness={"baseColorFactor": [level, level, level, 1]})
+        for name, level in (("a.paint", 0.2), ("a.paint", 0.4), ("camera", 0.6))
+    )
+    # Halves of the square, and what lies far behind it.
+    glb.mesh(SQUARE * np.float32([0.5, 1, 1]), material=paint, name="left", translation=[-0.5, 0, 0])
+    glb.mesh(material=paper, name="wall", translation=[0, 0, -1], scale=[9, 9, 1])
+    glb.mesh(SQUARE * np.float32([0.5, 1, 1]), material=paint, name="right", translation=[0.5, 0, 0])
+    glb.mesh(material=wood, name="camera", translation=[0, 0, -2])
+    world = load_world(glb.write(tmp_path / "a.glb"), light="baked", fov=30)
+    assert [name for name, part in world.items() if isinstance(part, mi.Mesh)] == [
+        "a_paint",
+        "wall",
+        "camera 2",
+    ]
     assert world["camera"]["type"] == "perspective"
+    assert world["a_paint"].face_count() == 4
+    np.testing.assert_allclose(image(world).mean(axis=(0, 1)), 0.2, rtol=WEIGHTS)
 
 
 @pytest.mark.parametrize(
