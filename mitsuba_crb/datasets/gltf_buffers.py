@@ -36,9 +36,8 @@ class Buffers:
             self.json: dict[str, Any] = json.loads(data.decode("utf-8-sig"))
         except (ValueError, RecursionError) as error:
             raise SceneError(f"{file} is no glTF: its JSON cannot be read ({str(error)[:80]})") from error
-        if not isinstance(self.json, dict) or not str(self.json.get("asset", {}).get("version")).startswith(
-            "2"
-        ):
+        asset = self.json.get("asset") if isinstance(self.json, dict) else None
+        if not isinstance(asset, dict) or not str(asset.get("version")).startswith("2"):
             raise SceneError(f"{file} is no glTF 2: export it again as glTF 2.0 (.glb)")
         self._own = own
         self._read: dict[int, bytes] = {}

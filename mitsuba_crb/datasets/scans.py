@@ -96,13 +96,14 @@ class _Beside:
 def _silenced() -> Iterator[None]:
     """What trimesh and NumPy remark of files that it then reads or refuses."""
     log = logging.getLogger("trimesh")
-    disabled, log.disabled = log.disabled, True
+    level = log.level
+    log.setLevel(logging.CRITICAL + 1)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
-        log.disabled = disabled
+        log.setLevel(level)
 
 
 def _mesh(mesh: Any, file: Path, name: str) -> TexturedMesh:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import base64
 import json
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -225,6 +227,33 @@ def test_what_is_wrong_with_a_file_is_said_in_a_line(spoil, words: list[str], tm
     text = str(raised.value)
     assert "\n" not in text
     assert all(word in text for word in ["a.glb", *words]), text
+
+
+def test_any_value_in_any_place_is_read_or_refused(tmp_path: Path) -> None:
+    """Of a document's every entry."""
+
+    def places(node: Any, above: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+        entries = (
+            node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
+        )
+        for key, value in entries:
+            yield (*above, key)
+            yield from places(value, (*above, key))
+
+    refused = []
+    for place in list(places(good().document)):
+        for value in (None, -1, 10**9, "x", [], {}):
+            glb = good()
+            node: Any = glb.document
+            for key in place[:-1]:
+                node = node[key]
+            node[place[-1]] = value
+            try:
+                read_gltf(glb.write(tmp_path / "a.glb"))
+            except SceneError as error:
+                refused.append(str(error))
+    assert len(refused) > 200
+    assert not [text for text in refused if "\n" in text]
 
 
 @pytest.mark.parametrize("share", [0.01, 0.3, 0.9])

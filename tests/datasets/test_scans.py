@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from pathlib import Path
 
@@ -139,6 +140,17 @@ def test_a_file_that_is_cut_off_is_named(ending: str, tmp_path: Path) -> None:
         with pytest.raises(SceneError, match=rf"a\.{ending} is damaged or cut off") as raised:
             read_scan(file)
         assert "\n" not in str(raised.value)
+
+
+def test_what_trimesh_remarks_is_not_printed(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = trimesh.exchange.stl.export_stl_ascii(trimesh.creation.box())
+    (tmp_path / "a.stl").write_text(text.replace("normal 0", "normal zero", 1))
+    with contextlib.suppress(SceneError):
+        read_scan(tmp_path / "a.stl")
+    assert not caplog.records
+    assert capsys.readouterr() == ("", "")
 
 
 def test_without_trimesh_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
