@@ -41,6 +41,22 @@ def test_a_bound_of_a_world_says_its_light(
     assert "radiance 1 from everywhere (--light constant:1)" in " ".join(capsys.readouterr().out.split())
 
 
+def test_many_poses_are_of_one_world(room: Path, tmp_path: Path) -> None:
+    (tmp_path / "path.txt").write_text("".join(f"{t} 0.{t} 0.05 2 0 1 0 0\n" for t in range(3)))
+    command = [
+        "bound",
+        str(room),
+        "--light",
+        "baked",
+        "--poses",
+        str(tmp_path / "path.txt"),
+        "--size",
+        "16x12",
+    ]
+    assert cli.run([*command, "--spp", "16", "--sigma", "0.01", "--csv", str(tmp_path / "a.csv")]) == 0
+    assert len((tmp_path / "a.csv").read_text().splitlines()) == 4
+
+
 def test_check_and_fuse_take_worlds(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["check", str(room), "--pose", POSE, "--size", "16x12", "--light", "baked", "--spp", "64"]
     assert cli.run(command) in (0, 3)
