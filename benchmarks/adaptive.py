@@ -1,14 +1,16 @@
 """Sampling to a precision beside uniform sampling.
 
     python benchmarks/adaptive.py                       # all parts
-    python benchmarks/adaptive.py --only gains times    # some of: gains times price figure
+    python benchmarks/adaptive.py --only gains times    # some of: gains times price verdicts figure
     python benchmarks/adaptive.py --only gains --scenes textured_room --seeds 10
 
 gains: at 160x120 the variance of ln σ over seeds, uniform over adaptive, at equal paths in all (of every
 round), worst and best of the directions that every run resolves. times: seconds until the default
 answers, each scene at its own size, the error that it states, and what it says of the six. price: the default
-over --spp 64, textured_wall at 512x512, alternating. figure: where the paths went in a room, error against
-time, into figures/adaptive.png.
+over --spp 64, textured_wall at 512x512, alternating. verdicts: at 64x48 and 4, 16, 64 and 256 paths per
+pixel, how large what is called unseen is in a run of 4,096 paths (its information over the largest
+eigenvalue: 1e-3 is the most), and how many lower limits exceed that run's standard deviations. figure: where
+the paths went in a room, error against time, into figures/adaptive.png.
 
 Tables go to adaptive.csv. Scenes by others are read from ../shared/data/mitsuba, where that is.
 """
@@ -33,7 +35,7 @@ ROOT = Path(__file__).parents[1]
 OTHERS = ROOT.parent / "shared" / "data" / "mitsuba"
 FILE = Path(__file__).with_suffix(".csv")
 FIGURE = Path(__file__).parent / "figures" / "adaptive.png"
-PARTS = ("gains", "times", "price", "figure")
+PARTS = ("gains", "times", "price", "verdicts", "figure")
 
 SMALL = (160, 120)
 GAINS = {
@@ -140,6 +142,38 @@ def price(rounds: int) -> dict[str, Any]:
     }
 
 
+def verdicts(scene: Path, seeds: int) -> dict[str, Any]:
+    """What is called unseen, and lower limits, beside a run of many paths."""
+    options: dict[str, Any] = {"size": (64, 48)}
+    with measurement(scene, **options) as run:
+        options["exposure"] = run.exposure.white
+    truth = pose_bound(scene, spp=4096, seed=1 << 20, **options)
+    scale = truth.inverse.scale
+    F = truth.information.to_frame("camera").matrix * np.outer(scale, scale)
+    stds = deviations(truth)
+    largest, called, wrong, limits = 0.0, 0, 0, 0
+    for spp in (4, 16, 64, 256):
+        for seed in range(seeds):
+            bound = pose_bound(scene, spp=spp, seed=seed, **options)
+            unseen = bound.inverse.resolution.unseen
+            called += unseen.shape[1]
+            if unseen.shape[1]:
+                shown = np.linalg.eigvalsh(unseen.T @ F @ unseen)[-1] / np.linalg.eigvalsh(F)[-1]
+                largest = max(largest, float(shown))
+            low = np.concatenate([bound.position_std_lower_limit, bound.rotation_std_deg_lower_limit])
+            limits += int(np.isfinite(stds).sum())
+            wrong += int((low[np.isfinite(stds)] > stds[np.isfinite(stds)]).sum())
+    return {
+        "part": "verdicts",
+        "scene": scene.parent.name,
+        "rank": truth.rank,
+        "called unseen": called,
+        "largest called unseen": largest,
+        "limits": limits,
+        "limits above": wrong,
+    }
+
+
 def figure() -> None:
     """Where the paths went in a room, and the error against time."""
     import matplotlib
@@ -201,6 +235,9 @@ def main() -> None:
     if "times" in options.only:
         there = [path for path in scenes() if not wanted or path.parent.name in wanted]
         jobs += [lambda path=path: times(path) for path in there]
+    if "verdicts" in options.only:
+        there = [path for path in scenes() if not wanted or path.parent.name in wanted]
+        jobs += [lambda path=path: verdicts(path, min(options.seeds, 20)) for path in there]
     if "price" in options.only:
         jobs.append(lambda: price(5))
     for job in jobs:
