@@ -158,6 +158,7 @@ def view_options(
     sensor: str,
     pose: str | None,
     size: str | None,
+    camera: str | None,
     pixels: str | None,
     drop_invalid: bool,
     integrator: str | None,
@@ -172,6 +173,7 @@ def view_options(
         "sensor": sensor,
         "pose": parse_pose(pose),
         "size": parse_size(size),
+        "camera": parse_camera(camera),
         "pixels": pixels,
         "drop_invalid": drop_invalid,
         "integrator": integrator,
@@ -183,9 +185,10 @@ def view_options(
     }
 
 
-def view_files(scene: Path, pose: str | None, pixels: str | None) -> list[Path]:
+def view_files(scene: Path, pose: str | None, camera: str | None, pixels: str | None) -> list[Path]:
     """The files that the view is read from, which no output may overwrite."""
-    return [scene, *filter(None, [pose_file(pose)]), *([Path(pixels)] if pixels else [])]
+    named = (pose_file(pose), camera_file(camera), Path(pixels) if pixels else None)
+    return [scene, *(file for file in named if file is not None)]
 
 
 def _file_and_name(text: str) -> tuple[Path, str | None]:

@@ -10,6 +10,7 @@ import typer
 from ..measure.options import MeasurementOptions
 from .options import (
     Batches,
+    Camera,
     Convention,
     CsvFile,
     Debug,
@@ -52,6 +53,7 @@ def bound(
     seed: Seed = MeasurementOptions.seed,
     batches: Batches = MeasurementOptions.batches,
     size: Size = None,
+    camera: Camera = None,
     define: Define = None,
     light: Light = None,
     up: Up = None,
@@ -70,8 +72,9 @@ def bound(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="A parameter that is not known either: gain, black, fov, principal_point, gain:32 (one in "
-            "every 32x32 tile), or a scene parameter's name in mi.traverse; repeatable.",
+            help="A parameter that is not known either: gain, black, gain:32 (one in every 32x32 tile), fov, "
+            "principal_point, fx, fy, cx, cy, a coefficient of the camera's lens such as k1, or a scene "
+            "parameter's name in mi.traverse; repeatable.",
         ),
     ] = None,
     prior: Annotated[
@@ -149,6 +152,7 @@ def bound(
             sensor=sensor,
             pose=pose,
             size=size,
+            camera=camera,
             pixels=pixels,
             drop_invalid=drop_invalid,
             integrator=integrator,
@@ -163,7 +167,7 @@ def bound(
         noise = parse_noise(sigma, noise_file)
         twists = parse_displacements(displacements, hcr=hcr)
         given = [poses, prior, noise_file, displacements]
-        inputs = [*view_files(scene, pose, pixels), *(file for file in given if file is not None)]
+        inputs = [*view_files(scene, pose, camera, pixels), *(file for file in given if file is not None)]
         targets = {"--json": json_file, "--csv": csv_file, "--parquet": parquet_file}
         targets |= {"--exr": exr_file, "--plot": plot_file}
         check_targets(targets, inputs, resumed=() if poses is None else ("--json", "--csv"))

@@ -9,6 +9,7 @@ import typer
 from ..measure.options import CHECKING, MeasurementOptions
 from .options import (
     Batches,
+    Camera,
     Debug,
     Define,
     DropInvalid,
@@ -45,6 +46,7 @@ def check(
     seed: Seed = MeasurementOptions.seed,
     batches: Batches = CHECKING["batches"],
     size: Size = None,
+    camera: Camera = None,
     define: Define = None,
     light: Light = None,
     up: Up = None,
@@ -66,6 +68,7 @@ def check(
             sensor=sensor,
             pose=pose,
             size=size,
+            camera=camera,
             pixels=pixels,
             drop_invalid=drop_invalid,
             integrator=integrator,

@@ -10,6 +10,7 @@ import typer
 from ..measure.options import MeasurementOptions
 from .options import (
     Batches,
+    Camera,
     Debug,
     Define,
     DropInvalid,
@@ -69,6 +70,7 @@ def validate(
     seed: Seed = MeasurementOptions.seed,
     batches: Batches = MeasurementOptions.batches,
     size: Size = None,
+    camera: Camera = None,
     define: Define = None,
     light: Light = None,
     up: Up = None,
@@ -101,6 +103,7 @@ def validate(
             sensor=sensor,
             pose=pose,
             size=size,
+            camera=camera,
             pixels=pixels,
             drop_invalid=drop_invalid,
             integrator=integrator,
@@ -112,7 +115,7 @@ def validate(
         )
         options |= {"exposure": parse_exposure(exposure)}
         defines = scene_defines(scene, define, light, up)
-        inputs = view_files(scene, pose, pixels)
+        inputs = view_files(scene, pose, camera, pixels)
         check_targets({"--json": json_file, "--plot": plot_file}, inputs, resumed=("--json",))
 
         from ..estimate.trials import validate as run_trials

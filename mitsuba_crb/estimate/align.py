@@ -101,7 +101,7 @@ def align(
     measured = _checked_image(image)
     _check_arguments(estimator, iterations, levels)
     model = _checked_noise(noise, measured)
-    options["size"] = _size(measured, options.get("size"), scene, options.get("sensor", 0))
+    options["size"] = _size(measured, scene, options)
     loaded, _ = as_scene(scene, wanted(MeasurementOptions(**options)))
     damping = DAMPING if estimator == "levenberg_marquardt" else 0.0
     count, words = 0, None
@@ -183,15 +183,14 @@ def _checked_noise(noise: object, image: Array) -> IndependentNoise:
     return model
 
 
-def _size(
-    image: NDArray[Any], size: tuple[int, int] | None, scene: Any, sensor: int | str
-) -> tuple[int, int]:
+def _size(image: NDArray[Any], scene: Any, options: MeasurementKeywords) -> tuple[int, int]:
     """The image's size; one that the film's shape does not explain must be confirmed."""
     height, width = image.shape[:2]
+    size, camera = options.get("size"), options.get("camera")
     if size is not None and tuple(size) != (width, height):
         raise AlignmentError(f"the measured image is {width}x{height}, and size says {size[0]}x{size[1]}")
-    if size is None:
-        with open_view(scene, sensor=sensor) as view:
+    if size is None and camera is None:  # a calibration refuses another shape by itself
+        with open_view(scene, sensor=options.get("sensor", 0)) as view:
             across, down = view.size
         # As close to the film's shape as whole pixels can be.
         if abs(width * down - height * across) >= max(across, down):

@@ -188,6 +188,7 @@ def validate(
         "iterations": iterations,
         **{name: jacobian.provenance[name] for name in _MEASURED},
         "pixels": {**selection, "mask": mask_fingerprint(np.isfinite(anchor.batches[0]).all(axis=2))},
+        **({} if given.camera is None else {"camera": given.camera.to_dict()}),
         "spp": options["spp"],
         "integrator": names["integrator"],
         "pose": [[round(value, 9) for value in row] for row in anchor.pose.tolist()],

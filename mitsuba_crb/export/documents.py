@@ -35,6 +35,8 @@ _PROVENANCE_KEYS = (
     "scene",
     "defines",
     "sensor",
+    "camera",
+    "camera_scaled_from",
     "method",
     "spp",
     "seed",

@@ -42,7 +42,7 @@ def print_bound(console: Console, bound: PoseBound) -> None:
     print_line(
         console,
         Text(Path(str(facts["scene"])).name, style="bold"),
-        f"  {width}×{height} pixels  {across:.1f}°×{down:.1f}° field of view",
+        f"  {width}×{height} pixels  {across:.1f}°×{down:.1f}° field of view{_lens(facts)}",
     )
     for text in facts.get("no_bound", ()):
         print_line(console, Text("no bound: ", style="bold red"), text)
@@ -64,6 +64,12 @@ def print_bound(console: Console, bound: PoseBound) -> None:
     print_facts(console, _bound_facts(bound))
     above = [*facts.get("no_bound", ()), *facts.get("no_error", ()), f"not resolved: {bound.not_resolved}"]
     print_notes(console, [text for text in facts.get("warnings", ()) if text not in above])
+
+
+def _lens(facts: dict[str, Any]) -> str:
+    """The lens model of a calibration, if it has one."""
+    model = facts.get("camera", {}).get("model", "pinhole")
+    return "" if model == "pinhole" else f"  {model} lens"
 
 
 def print_not_resolved(console: Console, bound: PoseBound) -> None:

@@ -86,7 +86,9 @@ def information(camera_: Intrinsics | None, method: str = "flow", **options: Any
 
 
 @pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.BlindSpotWarning")
-@pytest.mark.parametrize("method", ["flow", "forward", "finite_difference"])
+@pytest.mark.parametrize(
+    "method", ["flow", "finite_difference", pytest.param("forward", marks=pytest.mark.slow)]
+)
 def test_a_lens_without_coefficients_is_a_pinhole_to_the_bit(method: str) -> None:
     own = own_intrinsics()
     zero = Intrinsics(own.size, own.focal, own.centre, "opencv", ZEROS)
@@ -107,7 +109,7 @@ def test_a_size_scales_the_calibration() -> None:
     np.testing.assert_array_equal(information(large, size=(32, 24)), information(None))
     bound = pose_bound(textured_wall(), Gaussian(0.01), camera=large, size=(32, 24), spp=16)
     assert bound.provenance["size"] == [32, 24]
-    assert bound.provenance["camera"]["fx"] == pytest.approx(0.5 * large.focal[0])
+    assert bound.provenance["camera"]["focal"] == pytest.approx([0.5 * large.focal[0]] * 2)
     assert bound.provenance["camera_scaled_from"] == [64, 48]
     with pytest.raises(CameraError, match="of 64x48 pixels, and 32x32 is another shape"):
         information(large, size=(32, 32))
