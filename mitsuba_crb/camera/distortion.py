@@ -64,10 +64,9 @@ class Distortion:
         r = np.tan(off_axis)[:, None]
         x, y = r * np.cos(angle), r * np.sin(angle)
         rho = np.hypot(*lens.distorted(np, model, k, x, y))
-        a, b, c = lens.stretch(np, model, k, x, y)
-        # The smaller eigenvalue, as motion per angle off the axis.
-        least = 0.5 * (a + c) - np.hypot(0.5 * (a - c), b)
-        bad = np.flatnonzero((least * (1.0 + r * r) < _LEAST).any(axis=1))
+        # As motion per angle off the axis.
+        least = lens.least_stretch(np, model, k, x, y) * (1.0 + r * r)
+        bad = np.flatnonzero((least < _LEAST).any(axis=1))
         usable = bad[0] if len(bad) else len(r)
         outside = np.flatnonzero(rho[:usable].min(axis=1) >= farthest)
         pixels = float(np.sqrt(np.prod(focal)))
@@ -81,7 +80,7 @@ class Distortion:
                 )
             raise CameraError(
                 f"lens model {model} with {intrinsics.words} comes to {WIDEST_DEG:g}° off the axis at {at}: "
-                "so wide an angle is not supported; crop the image, or give the part of it that looks ahead"
+                "so wide an angle is not supported; crop the image to what is nearer to the axis"
             )
         last = outside[0]
         nodes = np.linspace(0.0, rho[last].max(), _NODES)
@@ -99,6 +98,11 @@ class Distortion:
     def stretched(self, u: Array, along: Array) -> Array:
         """D'(u) of vectors (..., 2) at (..., 2); of covectors likewise, for it is symmetric."""
         return self._stretched(self._split(u)[0], along)
+
+    def least_stretch(self, u: Array) -> Array:
+        """The smaller eigenvalue of D'(u) at (..., 2)."""
+        inner, _ = self._split(u)
+        return np.asarray(lens.least_stretch(np, self.model, self.coefficients, inner[..., 0], inner[..., 1]))
 
     def undistorted(self, v: Array) -> Array:
         """The u (..., 2) with D(u) = v (..., 2) within the disc; beyond it, a point of its rim."""

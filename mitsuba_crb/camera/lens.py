@@ -44,6 +44,13 @@ def stretch(m: Any, model: str, k: Any, x: Any, y: Any) -> tuple[Any, Any, Any]:
     return a + 2.0 * p1 * y + 6.0 * p2 * x, b + 2.0 * p1 * x + 2.0 * p2 * y, c + 6.0 * p1 * y + 2.0 * p2 * x
 
 
+def least_stretch(m: Any, model: str, k: Any, x: Any, y: Any) -> Any:
+    """The smaller eigenvalue of D'(u)."""
+    a, b, c = stretch(m, model, k, x, y)
+    half = 0.5 * (a - c)
+    return 0.5 * (a + c) - m.sqrt(half * half + b * b)
+
+
 def swelling(m: Any, model: str, k: Any, x: Any, y: Any) -> tuple[Any, Any]:
     """∇ ln det D'(u): how the area that a lens makes of a small patch changes from place to place."""
     _, g1, g2 = _radial(m, model, k, x * x + y * y + _AXIS)

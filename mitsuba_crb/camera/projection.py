@@ -187,6 +187,12 @@ class Camera:
         u = -points[:, :2] / points[:, 2:]
         return self.distortion.stretched(u, covectors * self.focal) / self.focal
 
+    def least_stretch(self, points: Array) -> Array:
+        """(n,) film length per length of the plain film at p' (n, 3), where it is least."""
+        if self.distortion is None:
+            return np.ones(len(points))
+        return self.distortion.least_stretch(-points[:, :2] / points[:, 2:])
+
     def plain_boxes(self, boxes: Array) -> Array:
         """Rectangles x0 y0 x1 y1 (n, 4) of the plain film that hold those of the film (n, 4)."""
         if self.distortion is None:

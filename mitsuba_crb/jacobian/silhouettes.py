@@ -178,7 +178,8 @@ class Contours:
         edge, hit = edge[strange], hit[strange]
         rotation = self.pose[:3, :3]
         centre = self.pose[:3, 3] + point[edge] @ rotation.T
-        tolerance = 2.0 * ASIDE * np.abs(self.camera.scale).max() * placed.seen[edge, 2]
+        aside = 2.0 * ASIDE / self.camera.least_stretch(placed.seen[edge])
+        tolerance = aside * np.abs(self.camera.scale).max() * placed.seen[edge, 2]
         tag, world = self.pieces.tag[piece[edge]], centre + placed.seen[edge] @ rotation.T
         hidden = self._hidden(tag, hit, seen[edge], placed.part(edge), piece[edge], point[edge])
         jump[edge[hidden | self.table.repeats(tag, hit, world, tolerance, centre)]] = 0.0
