@@ -40,7 +40,7 @@ from .versions import versions
 Progress = Callable[[int, int], None]
 """Called after each pose with the poses done and all of them."""
 
-_POOLED = 1 << 16
+_POOLED = 1 << 14
 """Pixels that the exposure is taken from, at least."""
 _COARSEST = 16
 _BLACK = 1.0
