@@ -8,7 +8,7 @@ is unbiased for F = JᵀWJ, where the plain ĴᵀWĴ of the mean Ĵ is too large
 positive semi-definite only in expectation. The covariance of its entries (`ustatistic`) is summed over units
 with independent errors: groups of pixels, or the blocks of pixels that share samples; what a random subset
 of the pixels says of the whole image is `sampled`'s. A bias b_u F_u that pixels may have in common adds the
-square of its sum. Conventions: `se3`.
+square of its sum, and so does what the noise of an image does to the weights made of it. Conventions: `se3`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from .coupled import CoupledComponents, mean_of_ordered, ordered_products
 from .fisher import FisherInformation
 from .linearisation import Linearisation, PixelSelection
 from .sampled import SampledComponents
-from .symmetric import congruence, entries, symmetrised, unpack
+from .symmetric import congruence, entries, pack, symmetrised, unpack
 from .ustatistic import (
     VarianceComponents,
     gram,
@@ -134,6 +134,8 @@ class InformationAccumulator:
         self._sum = np.zeros(entries(columns))
         self._plain = np.zeros((columns, columns))
         self._bias = np.zeros(entries(columns))
+        self._weight_bias = np.zeros(entries(columns))
+        self._of_weights = np.zeros((entries(columns), entries(columns)))
         components = CoupledComponents if coupled else SampledComponents if sampled else VarianceComponents
         self._units = components(batches, columns)
         self._kept = self._units.kept = kept
@@ -144,6 +146,7 @@ class InformationAccumulator:
         weights: ArrayLike,
         pixels: ArrayLike,
         bias: NDArray[np.float64] | None = None,
+        weight_bias: NDArray[np.float64] | None = None,
     ) -> None:
         """Add the pixels of some whole blocks.
 
@@ -154,6 +157,8 @@ class InformationAccumulator:
             pixels: (n, 2), column x and row y.
             bias: (n,) relative error, of one sign and all pixels' alike, that their information may have by
                 the way they were measured; it enters the covariance.
+            weight_bias: as `weights`, of either sign, by which their expectations may be off for the noise of
+                the image that they were made of; it enters the covariance.
 
         Raises:
             OptionError: the number of batches is not the one announced.
@@ -173,7 +178,13 @@ class InformationAccumulator:
             return
         root = square_root(precision)
         if bias is not None and bias.any():
-            self._bias += _biased(values, root, bias)
+            rows = np.flatnonzero(bias)
+            self._bias += bias[rows] @ _weighed(values[:, rows], precision[rows])
+        if weight_bias is not None and weight_bias.any():
+            rows = np.flatnonzero(weight_bias.any(axis=tuple(range(1, weight_bias.ndim))))
+            own = _weighed(values[:, rows], weight_bias[rows])
+            self._weight_bias += own.sum(axis=0)
+            self._of_weights += own.T @ own
         order, starts = self._order(positions)
         in_order = not np.any(np.diff(order) < 0)
         self._count += len(positions)
@@ -260,7 +271,7 @@ class InformationAccumulator:
     @property
     def added(self) -> Sums:
         """F̂ of all P columns from the pixels added so far and of no others; zero if they tell nothing."""
-        covariance = self._units.positive + np.outer(self._bias, self._bias)
+        covariance = self._units.positive + self._of_bias
         return Sums(unpack(self._sum), covariance, self._plain, unpack(self._bias))
 
     def sums(self, selection: PixelSelection) -> Sums:
@@ -285,9 +296,14 @@ class InformationAccumulator:
             raise PixelsError("a random pixel subset needs InformationAccumulator(batches=..., sampled=True)")
         if n < 2:
             raise PixelsError("a random subset of one pixel has no sampling variance; select at least two")
-        bias = N / n * self._bias
-        covariance = self._units.covariance(self._sum, n, N) + np.outer(bias, bias)
-        return Sums(N / n * unpack(self._sum), covariance, N / n * self._plain, unpack(bias))
+        covariance = self._units.covariance(self._sum, n, N) + (N / n) ** 2 * self._of_bias
+        return Sums(N / n * unpack(self._sum), covariance, N / n * self._plain, N / n * unpack(self._bias))
+
+    @property
+    def _of_bias(self) -> Array:
+        """(E, E), what either bias adds to the covariance; of that of weights the sum is itself uncertain."""
+        own = np.outer(self._bias, self._bias) + np.outer(self._weight_bias, self._weight_bias)
+        return np.asarray(own + self._of_weights)
 
     def _order(self, pixels: NDArray[np.integer]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """By unit, then by pixel, so that the sums do not depend on the order given: see `in_squares`."""
@@ -318,9 +334,9 @@ class InformationAccumulator:
             raise RadianceError(f"the Jacobian is not finite at {bad} of {len(pixels)} pixels")
 
 
-def _biased(values: Array, root: Array, bias: Array) -> Array:
-    """(E,) Σ bias_u F̂_u."""
-    rows = np.flatnonzero(bias)
-    whitened = whiten(values[:, rows] * np.sqrt(bias[rows])[:, None, None], root[rows])
-    products = unit_products(unit_grams(whitened, np.array([0, len(rows)])), len(values))
-    return np.asarray(products.mean(axis=0)[:, 0])
+def _weighed(values: Array, weights: Array) -> Array:
+    """(n, E) of each pixel, the mean over k < l of sym(J_kᵀ W J_l), of any symmetric weights."""
+    K = len(values)
+    wide = weights[..., None] * values if weights.ndim == 2 else np.einsum("nij,knjp->knip", weights, values)
+    sums = values.sum(axis=0).mT @ wide.sum(axis=0) - (values.mT @ wide).sum(axis=0)
+    return pack(symmetrised(sums)) / (K * (K - 1))

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import NoiseError, OptionError
 from ..noise import CoupledNoise, NoiseModel
+from ..noise.pilot import pilot_weights
 from .accumulate import InformationAccumulator
 from .fisher import FisherInformation
 from .image_jacobian import ImageJacobian
@@ -27,6 +28,7 @@ class Accumulator(Protocol):
         weights: ArrayLike,
         pixels: ArrayLike,
         bias: NDArray[np.float64] | None = None,
+        weight_bias: NDArray[np.float64] | None = None,
     ) -> None:
         """See `InformationAccumulator.add`."""
 
@@ -67,8 +69,10 @@ def sum_image(
         raise NoiseError(
             f"the mean has shape {jacobian.pilot.shape}, but the image is {jacobian.image.shape}"
         )
-    weights = noise.weights(jacobian.pixels, jacobian.expected)
-    accumulator.add(jacobian.batch_values, weights, jacobian.pixels, jacobian.bias)
+    weights, weight_bias = pilot_weights(
+        noise, jacobian.pixels, jacobian.expected, jacobian.expected_error if mean is None else None
+    )
+    accumulator.add(jacobian.batch_values, weights, jacobian.pixels, jacobian.bias, weight_bias)
 
 
 def as_noise_model(noise: object) -> NoiseModel:

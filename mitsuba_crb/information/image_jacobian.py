@@ -34,6 +34,8 @@ class ImageJacobian(Linearised):
     pilot: Array | None = None
     """(H, W, C) the same image by other random numbers, for noise that depends on it: `image` shares errors
     with the derivatives. None, as of a Jacobian made by hand, takes `image` for free of errors."""
+    pilot_error: Array | None = None
+    """(H, W, C) half of what two halves of the pilot's paths differ by; None without a pilot of two."""
     bias: Array | None = None
     """(n,) relative error, of one sign and all pixels' alike, that their information may have by the step of
     finite differences; None without any."""
@@ -57,6 +59,12 @@ class ImageJacobian(Linearised):
         x, y = self.pixels.T
         return np.asarray((self.image if self.pilot is None else self.pilot)[y, x], dtype=np.float64)
 
+    @property
+    def expected_error(self) -> Array | None:
+        """(n, C), the pilot's error at the pixels; None where none is known."""
+        x, y = self.pixels.T
+        return None if self.pilot_error is None else np.asarray(self.pilot_error[y, x], dtype=np.float64)
+
     def only(self, mask: NDArray[np.bool_], description: str | None = None) -> ImageJacobian:
         """Of those of its pixels that are in a mask (H, W); they are all that an estimator has."""
         x, y = self.pixels.T
@@ -65,6 +73,9 @@ class ImageJacobian(Linearised):
             self._rows(slice(None) if kept.all() else kept, int(kept.sum()), description),
             image=np.where(mask[..., None], self.image, np.nan),
             pilot=None if self.pilot is None else np.where(mask[..., None], self.pilot, np.nan),
+            pilot_error=None
+            if self.pilot_error is None
+            else np.where(mask[..., None], self.pilot_error, 0.0),
         )
 
     def to_frame(self, frame: Frame) -> ImageJacobian:

@@ -223,6 +223,7 @@ class JointAccumulator:
         weights: ArrayLike,
         pixels: ArrayLike,
         bias: NDArray[np.float64] | None = None,
+        weight_bias: NDArray[np.float64] | None = None,
     ) -> None:
         """Add some pixels; arguments and errors as `InformationAccumulator.add`.
 
@@ -231,7 +232,7 @@ class JointAccumulator:
         """
         values, positions = np.asarray(batch_values, dtype=np.float64), np.asarray(pixels)
         if self._side is None:
-            self._parts[frozenset()].add(values, weights, positions, bias)
+            self._parts[frozenset()].add(values, weights, positions, bias, weight_bias)
             return
         precision = np.asarray(weights, dtype=np.float64)
         x, y = (positions.astype(np.int64) // self._side).T
@@ -243,7 +244,7 @@ class JointAccumulator:
                     f"that are multiples of {self._side}"
                 )
             self._tiles.add(int(number))
-            self._add_tile(values, precision, positions, bias, np.flatnonzero(tile == number))
+            self._add_tile(values, precision, positions, bias, weight_bias, np.flatnonzero(tile == number))
 
     def add_coupled(
         self,
@@ -278,10 +279,11 @@ class JointAccumulator:
         weights: Array,
         pixels: NDArray[Any],
         bias: Array | None,
+        weight_bias: Array | None,
         index: NDArray[np.intp],
     ) -> None:
         values, weights, pixels = values[:, index], weights[index], pixels[index]
-        bias = None if bias is None else bias[index]
+        bias, weight_bias = (None if each is None else each[index] for each in (bias, weight_bias))
         own = InformationAccumulator(batches=self._batches, block=self._block, columns=values.shape[-1])
         own.add(values, weights, pixels)
         sums = own.added
@@ -289,7 +291,7 @@ class JointAccumulator:
         for subset, part in self._parts.items():
             unknown = [c for name in self._local if name in subset for c in self._local[name]]
             G = _eliminate(sums, unknown, others)
-            part.add(values @ G, weights, pixels, bias)
+            part.add(values @ G, weights, pixels, bias, weight_bias)
 
 
 def joint_information(

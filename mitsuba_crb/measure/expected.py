@@ -45,24 +45,26 @@ class ExpectedImage:
 
     def of(
         self, pixels: NDArray[np.int64], mean: NDArray[np.float64], noise: IndependentNoise | None, spp: int
-    ) -> NDArray[np.float64]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(n, 3) at some pixels (n, 2); the Jacobian's own `mean` (n, 3) where a pilot is not finite.
+
+        And (n, 3) half of what two halves of the pilot differ by, 0 where no pilot is needed.
 
         Args:
             noise: what it is for; None: any, so that every pixel has a full pilot.
             spp: paths per pixel of the Jacobian there.
         """
         if not isinstance(noise, ThresholdNoise):
-            return self._finite(self._pilot(pixels, max(PILOT_SPP, spp)), mean)
+            return self._pilot(pixels, max(PILOT_SPP, spp), mean)
         coarse = self.coarse[pixels[:, 1], pixels[:, 0]]
         lowest, highest = self._neighbourhood(pixels)
         near = noise.near_threshold(lowest, highest)
-        expected = self._finite(coarse, mean)
+        expected, error = np.where(np.isfinite(coarse), coarse, mean), np.zeros_like(mean)
         if near.any():
             spp = max(PILOT_SPP, spp // 4)  # pixels at white are few, and the noise smooths white anyway
-            image = self._finite(self._pilot(pixels[near], spp), mean[near])
+            image, error[near] = self._pilot(pixels[near], spp, mean[near])
             expected[near] = image + _GLARE * noise.excess(highest[near])
-        return expected
+        return expected, error
 
     @cached_property
     def coarse(self) -> NDArray[np.float64]:
@@ -81,12 +83,14 @@ class ExpectedImage:
                 np.fmax(highest, self.coarse[y, x], out=highest)
         return lowest, highest
 
-    def _pilot(self, pixels: NDArray[np.int64], spp: int) -> NDArray[np.float64]:
-        return pilot(self.view, pixels, Paths(spp, self.seed, 1), even=True)
-
-    @staticmethod
-    def _finite(image: NDArray[np.float64], mean: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.where(np.isfinite(image), image, mean)
+    def _pilot(
+        self, pixels: NDArray[np.int64], spp: int, mean: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        paths = Paths(2 * -(-spp // 2), self.seed, 2)
+        one, other = self.view.start_image(pixels, paths, purpose=PILOT, even=True)()
+        image, error = 0.5 * (one + other), 0.5 * (one - other)
+        good = np.isfinite(image)
+        return np.where(good, image, mean), np.where(good, error, 0.0)
 
 
 def whole_pilot(view: Measurable, paths: Paths, tile: int, *, even: bool = False) -> NDArray[np.float64]:

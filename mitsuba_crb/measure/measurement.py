@@ -242,7 +242,7 @@ class Measurement:
     def jacobian(self, *, pilot: bool = False) -> ImageJacobian:
         """The Jacobian of every selected pixel, held at once, row by row; `pilot` as for `tiles`."""
         image = np.full((*self.mask.shape, 3), np.nan)
-        expected = np.full_like(image, np.nan)
+        expected, error = np.full_like(image, np.nan), np.zeros_like(image)
         measured = np.zeros_like(self.mask)
         place = (np.cumsum(self.mask) - 1).reshape(self.mask.shape)
         values = np.empty((self.options.batches, int(self.mask.sum()), 3, 6 + len(self.parameters)))
@@ -250,6 +250,7 @@ class Measurement:
         for part in self.tiles(pilot=pilot):
             x, y = part.pixels.T
             image[y, x], expected[y, x], measured[y, x] = part.mean, part.expected, True
+            error[y, x] = 0.0 if part.pilot_error is None else part.pilot_error
             values[:, place[y, x]] = part.all_values
             bias[place[y, x]] = part.bias
         kept = measured[self.mask]
@@ -261,6 +262,7 @@ class Measurement:
             block=self.block,
             parameters=self.parameters,
             pilot=expected if pilot else None,
+            pilot_error=error if pilot else None,
             bias=bias[kept] if bias.any() else None,
             provenance=self.provenance(),
         )
@@ -281,7 +283,7 @@ class Measurement:
                 self.differences.add(part)
             return
         for part, weights in self.weighted_tiles(noise):
-            accumulator.add(part.all_values, weights, part.pixels, part.bias)
+            accumulator.add(part.all_values, weights, part.pixels, part.bias, part.weight_bias)
             self.differences.add(part)
 
     def information(self, noise: NoiseModel) -> FisherInformation:
@@ -332,10 +334,10 @@ class Measurement:
             done += len(pixels) * (paths.spp // least)
             measured += len(pixels)
             needed = pilot or (noise is not None and noise.depends_on_mean)
-            expected = self.expected.of(pixels, image, noise, paths.spp) if needed else None
-            tile = TileJacobian(values, pixels, image, others, expected, causes, step_bias).finite()
+            expected, error = self.expected.of(pixels, image, noise, paths.spp) if needed else (None, None)
+            tile = TileJacobian(values, pixels, image, others, expected, error, causes, step_bias).finite()
             if noise is not None:
-                tile = dataclasses.replace(tile, weights=noise.weights(tile.pixels, tile.expected))
+                tile = tile.weighed(noise)
             invalid += len(pixels) - len(tile.pixels)
             if self.options.on_tile is not None:
                 self.options.on_tile(tile, done, total)

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ..noise import IndependentNoise
+from ..noise.pilot import pilot_weights
 
 
 @dataclass(frozen=True)
@@ -22,12 +26,16 @@ class TileJacobian:
     """(K, n, 3, m) estimates of the derivatives in the nuisance parameters; None without any."""
     pilot: NDArray[np.float64] | None = None
     """(n, 3) the image there by other random numbers; None where no noise depends on it."""
+    pilot_error: NDArray[np.float64] | None = None
+    """(n, 3) half of what two halves of the pilot's paths differ by; None where there are none."""
     causes: NDArray[np.object_] | None = None
     """None, or (n,) why finite differences measured a pixel, "" where they did not."""
     step_bias: float = 0.0
     """Relative error that their step may leave in the information of those pixels; without causes, of all."""
     weights: NDArray[np.float64] | None = None
     """(n, 3) or (n, 3, 3), those of the noise [1 / radiance²]; None where none was told."""
+    weight_bias: NDArray[np.float64] | None = None
+    """As `weights`, what the pilot's noise may do to their expectations; None where none depends on it."""
 
     def finite(self) -> TileJacobian:
         """Without the pixels at which anything is NaN or infinite."""
@@ -43,17 +51,24 @@ class TileJacobian:
 
     def part(self, rows: NDArray[np.bool_]) -> TileJacobian:
         """Some of its pixels (n,)."""
-        others, pilot, causes, weights = self.nuisance_values, self.pilot, self.causes, self.weights
+        given = {
+            name: getattr(self, name) for name in ("pilot", "pilot_error", "causes", "weights", "weight_bias")
+        }
+        chosen: dict[str, Any] = {name: v if v is None else v[rows] for name, v in given.items()}
+        others = self.nuisance_values
         return replace(
             self,
             batch_values=self.batch_values[:, rows],
             pixels=self.pixels[rows],
             mean=self.mean[rows],
             nuisance_values=None if others is None else others[:, rows],
-            pilot=None if pilot is None else pilot[rows],
-            causes=None if causes is None else causes[rows],
-            weights=None if weights is None else weights[rows],
+            **chosen,
         )
+
+    def weighed(self, noise: IndependentNoise) -> TileJacobian:
+        """With a noise model's weights, and what they may be biased by."""
+        weights, bias = pilot_weights(noise, self.pixels, self.expected, self.pilot_error)
+        return replace(self, weights=weights, weight_bias=bias)
 
     @property
     def bias(self) -> NDArray[np.float64]:

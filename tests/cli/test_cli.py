@@ -229,6 +229,7 @@ def test_options_reach_the_library(rendered, capsys, tmp_path):
         "drop_invalid": True,
         "integrator": None,
         "exposure": None,
+        "camera": None,
         "clip": True,
         "nuisances": ["gain", "fov"],
     }
@@ -497,11 +498,11 @@ def test_real_scene_from_file_to_files(capsys, tmp_path):
     """Without any replacement: the same numbers as the library's, and pictures of the whole image."""
     files = {name: tmp_path / f"out.{name}" for name in ("json", "exr", "plot")}
     options = [text for name, path in files.items() for text in (f"--{name}", str(path))]
-    assert cli.run(["bound", WALL, "--size", "20x16", "--spp", "8", "--seed", "3", *options]) == 0
+    assert cli.run(["bound", WALL, "--size", "20x16", "--spp", "16", "--seed", "3", *options]) == 0
     out, err = capsys.readouterr()
     document = json.loads(files["json"].read_text(encoding="utf-8"))
-    with pytest.warns(PrecisionWarning) as caught:  # 8 paths are few
-        expected = pose_bound(WALL, size=(20, 16), spp=8, seed=3)
+    with pytest.warns(PrecisionWarning) as caught:  # 16 paths are few
+        expected = pose_bound(WALL, size=(20, 16), spp=16, seed=3)
     assert document["warnings"] == [str(warning.message) for warning in caught]
     assert all(f"note: {text}" in out for text in document["warnings"])
     assert err == ""

@@ -13,9 +13,11 @@ from small_scenes import T, camera, scene, texture, textured_wall, wall
 
 from mitsuba_crb import hcr_bound, pose_bound, pose_jacobian
 from mitsuba_crb.errors import NoiseError, OptionError
+from mitsuba_crb.information.accumulate import InformationAccumulator, Sums
 from mitsuba_crb.information.image_information import fisher_information
 from mitsuba_crb.measure.exposure import exposed
-from mitsuba_crb.noise import Clipped, Gaussian
+from mitsuba_crb.measure.tile_jacobian import TileJacobian
+from mitsuba_crb.noise import Clipped, Gaussian, IndependentNoise, PoissonGaussian
 from mitsuba_crb.render.pixels import render_pixels
 from mitsuba_crb.render.view import open_view
 
@@ -167,6 +169,33 @@ def test_few_pilots_tell_what_a_pilot_of_every_pixel_does() -> None:
     streamed = pose_bound(textured_wall(), camera, spp=64, tile=16).information
     assert misfit(fisher_information(jacobian, camera).matrix, streamed.matrix) < 0.05
     assert misfit(fisher_information(jacobian, Gaussian(0.01)).matrix, streamed.matrix) > 0.1
+
+
+@pytest.mark.parametrize("noise", [Clipped(0.01, 1.0), PoissonGaussian(gain=1e-3, read_noise=0.002)])
+def test_the_pilots_noise_is_in_the_error_of_what_its_weights_make(noise: IndependentNoise) -> None:
+    """Edges up to white: the mean's noise takes some for saturated, and nothing beyond makes up for it."""
+    rng = np.random.default_rng(3)
+    pixels = np.stack(np.meshgrid(np.arange(40), np.arange(40)), axis=-1).reshape(-1, 2)
+    mean = np.repeat(rng.uniform(0.3, 1.0, (1600, 1)), 3, axis=1)
+    values = np.repeat(rng.normal(size=(1, 1600, 3, 6)), 4, axis=0)
+    true = np.diag(summed(TileJacobian(values, pixels, mean).weighed(noise)).matrix)
+    misses, errors = [], []
+    for _ in range(40):
+        halves = mean + 0.04 * mean * rng.normal(size=(2, 1600, 3))
+        pilot, error = halves.mean(axis=0), 0.5 * (halves[0] - halves[1])
+        found = summed(TileJacobian(values, pixels, mean, None, pilot, error).weighed(noise))
+        misses.append(np.diag(found.matrix) - true)
+        errors.append(np.sqrt(np.diag(found.covariance_of_entries))[[0, 6, 11, 15, 18, 20]])
+    assert np.mean(np.abs(misses) < 3.0 * np.array(errors)) > 0.97
+    # The errors are no larger than that takes, and the seeds' scatter alone would not do.
+    assert np.mean(errors) < 3.0 * np.sqrt(np.mean(np.square(misses)))
+    assert np.abs(np.mean(misses, axis=0)).max() > 3.0 * np.std(misses, axis=0).min() / np.sqrt(40)
+
+
+def summed(tile: TileJacobian) -> Sums:
+    accumulator = InformationAccumulator(batches=4)
+    accumulator.add(tile.batch_values, tile.weights, tile.pixels, tile.bias, tile.weight_bias)
+    return accumulator.added
 
 
 def test_hcr_is_of_the_same_camera() -> None:
