@@ -21,11 +21,22 @@ from mitsuba_crb.agents.bundle import (
 )
 from mitsuba_crb.agents.pose_graph import JointPoseInformation, PoseGraph
 from mitsuba_crb.bound.cramer_rao import cramer_rao_bound
-from mitsuba_crb.camera import Camera
+from mitsuba_crb.camera import Camera, Intrinsics
 from mitsuba_crb.errors import FusionError, PointsError
 
 CAMERA = Camera.pinhole(focal=(520.0, 480.0), centre=(310.0, 250.0), size=(640, 480))
 SIGMA = 0.7
+LENSES = {
+    "PINHOLE": CAMERA,
+    "FULL_OPENCV": Camera.of(
+        Intrinsics(
+            CAMERA.size, (520.0, 480.0), (310.0, 250.0), "opencv", (-0.25, 0.05, 1e-3, -2e-3, 0, 0.01, 0, 0)
+        )
+    ),
+    "OPENCV_FISHEYE": Camera.of(
+        Intrinsics(CAMERA.size, (520.0, 480.0), (310.0, 250.0), "fisheye", (-0.05, 0.01, -0.004, 5e-4))
+    ),
+}
 
 
 def scene(rng, *, views=1, count=20, origin=0.0):
@@ -110,15 +121,19 @@ class TestKnownPoints:
         spread = np.vstack([line, [1.0, 0.0, 6.0]])
         assert cramer_rao_bound(point_information(spread, PointView("c", np.eye(4), CAMERA, SIGMA))).rank == 6
 
-    def test_pycolmap_s_covariance(self):
+    @pytest.mark.parametrize("model", LENSES)
+    def test_pycolmap_s_covariance(self, model):
         """Found to 1e-13; 1e-9 leaves room for where its refinement stops."""
         points, (view,) = scene(np.random.default_rng(4), count=40)
+        view = dataclasses.replace(view, camera=LENSES[model])
+        lens = LENSES[model].distortion
+        k = () if lens is None else lens.coefficients
         camera = pycolmap.Camera(
-            model="PINHOLE", width=640, height=480, params=[*CAMERA.focal, *CAMERA.centre]
+            model=model, width=640, height=480, params=[*CAMERA.focal, *CAMERA.centre, *k]
         )
         p = (points - view.pose[:3, 3]) @ view.pose[:3, :3]
         found = pycolmap.estimate_and_refine_absolute_pose(
-            CAMERA.project(p), points, camera, return_covariance=True
+            view.camera.project(p), points, camera, return_covariance=True
         )
         assert found["num_inliers"] == len(points)
         np.testing.assert_allclose(
