@@ -11,15 +11,20 @@ from ..measure.options import MeasurementOptions
 from .options import (
     Batches,
     Camera,
+    Channels,
     Convention,
     CsvFile,
     Debug,
     Define,
+    DepthEdges,
+    DepthRange,
+    DepthSigma,
     DropInvalid,
     Exposure,
     Integrator,
     Light,
     MaxSpp,
+    Measure,
     Method,
     NoClip,
     ParquetFile,
@@ -60,6 +65,11 @@ def bound(
     sigma: Sigma = None,
     exposure: Exposure = None,
     no_clip: NoClip = False,
+    channels: Channels = None,
+    measure: Measure = MeasurementOptions.measure,
+    depth_sigma: DepthSigma = None,
+    depth_range: DepthRange = None,
+    depth_edges: DepthEdges = False,
     noise_file: Annotated[
         Path | None,
         typer.Option(
@@ -134,6 +144,7 @@ def bound(
     """
     with foreseen(debug, variant):
         from ..export.targets import check_targets
+        from ..measure.sensing import parse_depth_sigma, parse_range
         from .arguments import (
             parse_displacements,
             parse_exposure,
@@ -162,6 +173,8 @@ def bound(
             seed=seed,
             batches=batches,
         )
+        options |= {"channels": channels, "measure": measure, "depth_edges": depth_edges}
+        options |= {"depth_sigma": parse_depth_sigma(depth_sigma), "depth_range": parse_range(depth_range)}
         options |= {"exposure": parse_exposure(exposure), "clip": not no_clip}
         defines = scene_defines(scene, define, light, up)
         noise = parse_noise(sigma, noise_file)

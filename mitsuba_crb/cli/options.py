@@ -110,6 +110,35 @@ Exposure = Annotated[
 NoClip = Annotated[
     bool, typer.Option("--no-clip", help="The default noise goes on above white instead of saturating.")
 ]
+Channels = Annotated[
+    str | None,
+    typer.Option(
+        metavar="C",
+        help="What a camera of colour measures: rgb, luminance, red, green or blue; default: as the film.",
+    ),
+]
+Measure = Annotated[
+    str, typer.Option(metavar="M", help="What is measured: colour, depth, or rgbd, which is both.")
+]
+DepthSigma = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X|FILE|stereo:B,S",
+        help="Standard deviation of depth (scene unit), a file with depths and standard deviations in two "
+        "columns, or stereo's law with baseline B (scene unit) and S of the disparity (pixels); default: "
+        "0.01 of the depth.",
+    ),
+]
+DepthRange = Annotated[
+    str | None,
+    typer.Option("--range", metavar="LO:HI", help="Depths that are measured (scene unit); default: all."),
+]
+DepthEdges = Annotated[
+    bool,
+    typer.Option(
+        "--depth-edges", help="Measure depth where one surface ends in front of another within a pixel, too."
+    ),
+]
 Size = Annotated[str | None, typer.Option(metavar="WxH", help="Image size in place of the film's (pixels).")]
 Pixels = Annotated[
     str | None,

@@ -21,6 +21,7 @@ from ..measure.measurement import measurement
 from ..measure.mitsuba_view import wanted
 from ..measure.options import MeasurementKeywords, MeasurementOptions
 from ..noise import CoupledNoise, IndependentNoise, NoiseModel
+from ..noise.measured import COLOUR
 from ..render.lending import in_turn
 from ..render.scene import as_scene
 from ..render.view import open_view
@@ -123,8 +124,11 @@ def align(
             if status != "diverged":
                 options["pose"] = pose
     with measurement(loaded, **options) as run:
-        if run.view.luminance:
-            raise AlignmentError("the film measures luminance alone; an alignment needs pixel_format rgb")
+        if run.view.measured != COLOUR:
+            raise AlignmentError(
+                f"the camera measures {run.view.measured.name} alone; an alignment needs rgb, of the film "
+                "(pixel_format) and of --channels"
+            )
         run.warn_of_limits()
         misfit = Misfit(run.only(description=words), measured, model, anchor)
         if estimator == "adam":

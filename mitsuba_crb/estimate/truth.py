@@ -13,6 +13,7 @@ from ..jacobian.method import Paths
 from ..measure.measurement import measurement
 from ..measure.options import MeasurementKeywords, MeasurementOptions
 from ..noise import Gaussian
+from ..noise.measured import COLOUR
 from ..render.lending import in_turn
 from .misfit import Anchor
 
@@ -45,14 +46,17 @@ def truth_of(scene: Any, sigma: float | None, options: MeasurementKeywords) -> T
         options: of the trials' renders.
 
     Raises:
-        TrialError: the film measures luminance alone.
+        TrialError: the camera does not measure colour.
         MitsubaCRBError: as `pose_jacobian`.
     """
     many: MeasurementKeywords = {**options, "spp": TIMES * MeasurementOptions(**options).uniform_spp}
     with measurement(scene, **many) as run:
         run = run.only()
-        if run.view.luminance:
-            raise TrialError("the film measures luminance alone; trials need pixel_format rgb")
+        if run.view.measured != COLOUR:
+            raise TrialError(
+                f"the camera measures {run.view.measured.name} alone; trials need rgb, of the film "
+                "(pixel_format) and of --channels"
+            )
         model = Gaussian(run.exposure.sigma if sigma is None else sigma)
         if sigma is not None:
             run.noise(model)  # refuses what does not go with it

@@ -43,7 +43,9 @@ _PROVENANCE_KEYS = (
     "batches",
     "size",
     "pixels",
+    "measures",
     "noise",
+    "depth",
     "prior",
 )
 

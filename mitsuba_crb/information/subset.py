@@ -29,6 +29,14 @@ def everything(size: tuple[int, int]) -> PixelSelection:
     return PixelSelection("all", total, total, "all")
 
 
+def telling(mask: NDArray[np.bool_], told: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The pixels of a mask (H, W) that tell anything; or its first, to tell nothing."""
+    found = mask & told
+    if not found.any():
+        found.flat[np.argmax(mask)] = True
+    return found
+
+
 def is_mask(pixels: Any) -> bool:
     """Whether a choice names its pixels, for one size of image, instead of a fraction of them."""
     return not _is_all(pixels) and not (
@@ -41,7 +49,11 @@ def _is_all(pixels: Any) -> bool:
 
 
 def choose(
-    pixels: Any, size: tuple[int, int], seed: int, pilot_image: Callable[[], NDArray[np.float64]]
+    pixels: Any,
+    size: tuple[int, int],
+    seed: int,
+    pilot_image: Callable[[], NDArray[np.float64]],
+    told: NDArray[np.bool_] | None = None,
 ) -> tuple[NDArray[np.bool_], PixelSelection]:
     """The pixels that a user asked for.
 
@@ -51,6 +63,7 @@ def choose(
         size: width and height [pixel].
         seed: of the random choice.
         pilot_image: gives an image (H, W, 3) whose gradients are ranked; called only for "gradient:f".
+        told: (H, W) pixels that measure anything, of which alone "gradient:f" takes any; None: all.
 
     Returns:
         Mask (H, W), and what it means.
@@ -69,7 +82,9 @@ def choose(
         if rule == "random":
             chosen = np.random.default_rng(seed).choice(whole.total, count, replace=False, shuffle=False)
         else:
-            chosen = np.argsort(-_gradient(pilot_image()).ravel(), kind="stable")[:count]
+            gradient = _gradient(pilot_image())
+            gradient = gradient if told is None else np.where(told, gradient, -1.0)
+            chosen = np.argsort(-gradient.ravel(), kind="stable")[:count]
         mask = np.zeros(whole.total, dtype=bool)
         mask[chosen] = True
         return mask.reshape(height, width), PixelSelection(

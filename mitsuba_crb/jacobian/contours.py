@@ -30,7 +30,7 @@ from scipy.sparse import csr_array
 
 from ..information.blocks import BLOCK
 from ..render.arrays import download, upload, widened
-from ..render.pixels import known_integrator, radiance
+from ..render.pixels import kernel_key, sensed
 from ..render.random import lane_sampler, seeding
 from .pairs import film_shift
 from .silhouettes import Contours, Sides, find_contours, look
@@ -321,9 +321,9 @@ def _look(
         sides, ray, importance = look(view, arrays)
         active = sides.jump > 0.0
         sampler = lane_sampler(arrays["block"], arrays["number"], arrays["seeds"])
-        light = radiance(view, sampler, ray, active)
+        light = sensed(view, sampler, ray, arrays["transform"], active)
         return tuple(sides), dr.select(active, importance * light, 0.0)
 
-    known = known_integrator(view.integrator)
+    known = kernel_key(view)
     sides, light = view.recorder.ready("contours", body, view, arrays, known)()
     return sides, light

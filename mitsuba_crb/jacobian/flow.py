@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..information.blocks import BLOCK
-from ..render.paths import IntegratorTracer, PathTracer, White, tracer
+from ..render.paths import IntegratorTracer, Tracer, White, tracer
 from ..render.random import EVEN, EvenNumbers, derived_seed, lane_sampler, seeding
 from ..render.rays import Lanes, camera_ray, first_hits, opaque_transform
 from ..render.recorded import join, split
@@ -48,7 +48,7 @@ from .pair_sums import sum_pairs
 from .pairs import BoxPairs, SmoothPairs, film_shift, filter_pairs
 from .pilot import Black, Pilot
 from .unfollowed import CLIPPED, Unfollowed
-from .view_term import ViewTerm
+from .view_term import DepthTerm, ViewTerm, view_term
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -71,10 +71,10 @@ class Prepared:
     """What all tiles of one view share."""
 
     pairs: SmoothPairs | BoxPairs
-    view_term: ViewTerm | None
+    view_term: ViewTerm | DepthTerm | None
     contours: Contours
     """Of the surfaces."""
-    tracer: PathTracer | IntegratorTracer | White
+    tracer: Tracer | White
     transform: mi.Transform4f
     """World from camera."""
     focal: mi.Vector2f
@@ -97,7 +97,7 @@ def prepare(view: View, film_flows: tuple[FilmFlow, ...] = ()) -> Prepared:
     contours = find_contours(view)
     return Prepared(
         filter_pairs(view.pixel_filter),
-        ViewTerm.of(view, camera_paths),
+        view_term(view, camera_paths),
         contours,
         camera_paths,
         opaque_transform(view.pose),

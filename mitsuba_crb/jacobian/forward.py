@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import IntegratorError
-from ..render.pixels import radiance
+from ..render.pixels import sensed
 from ..render.random import lane_sampler, seeding
-from ..render.rays import Lanes, camera_ray, move_ray
+from ..render.rays import Lanes, camera_ray
 from . import lint
 from .method import AtOnce, Estimates, Paths
 
@@ -69,7 +69,7 @@ class Forward:
         """
         from mitsuba.python.ad.integrators.common import ADIntegrator
 
-        if isinstance(view.integrator, ADIntegrator):
+        if isinstance(view.integrator, ADIntegrator) and view.measured.depth is None:
             raise IntegratorError(
                 f"integrator {type(view.integrator).__name__} detaches camera rays, so method 'forward' "
                 "would see nothing: use path, direct or volpath, or another method"
@@ -79,6 +79,8 @@ class Forward:
     @classmethod
     def limits(cls, view: View) -> Iterator[str]:
         """See `Method.limits`."""
+        if view.measured.depth is not None and not view.measured.depth.edges:
+            return  # what jumps is depth at edges alone, and no pixel with one is measured
         yield from lint.cut_surfaces(view, cls.name)
         for finding in lint.discontinuities(view):
             yield (
@@ -116,8 +118,7 @@ def _column(
     sampler, ray, weight = camera_paths(view, pixels, spp, seed)
     twist = [mi.Float(0.0) for _ in range(6)]
     dr.enable_grad(twist[axis])
-    moved = move_ray(ray, _attached_transform(view.pose, twist))
-    value = weight * radiance(view, sampler, moved)
+    value = weight * sensed(view, sampler, ray, _attached_transform(view.pose, twist))
     dr.forward_from(twist[axis])
     return per_path(dr.grad(value), spp), per_path(dr.detach(value), spp)
 

@@ -134,7 +134,7 @@ def sum_pairs(
 
         if dr.hint(view_term is not None, mode="scalar"):
             tangent = _tangent(ray.d, angle, mirrored)
-            change = view_term.along(
+            changes = view_term.columns(
                 view,
                 prepared.tracer,
                 shifted_sampler,
@@ -142,13 +142,14 @@ def sum_pairs(
                 world_ray,
                 seen,
                 distance,
-                transform @ tangent,
+                lens,
+                ray.d,
+                tangent,
+                transform,
+                importance * half.value,
             )
-            change *= importance * half.value
-            turning = dr.cross(lens, tangent)
-            for k in range(3):
-                columns[k] += change * tangent[k]
-                columns[k + 3] += change * turning[k]
+            for k in range(6):
+                columns[k] += changes[k]
         i += 1
     return columns, image + baseline, shown, closing
 

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se3
-from ..render.pixels import radiance, render_pixels
-from ..render.rays import move_ray, opaque_transform
+from ..render.pixels import render_pixels, sensed
+from ..render.rays import opaque_transform
 from ..render.recorded import Recorder
 from .forward import MAX_LANES, camera_paths, per_batch, per_path
 from .method import Paths
@@ -86,12 +86,12 @@ class SceneParameter:
         import mitsuba as mi
 
         sampler, ray, weight = camera_paths(view, pixels, paths.spp, paths.seed)
-        world_ray = move_ray(ray, opaque_transform(view.pose))
+        transform = opaque_transform(view.pose)
         t = mi.Float(0.0)
         dr.enable_grad(t)
         # Evaluated loops: a symbolic one cannot be differentiated in what its body reads from outside.
         with self.at(k, t), dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, False):
-            value = weight * radiance(view, sampler, world_ray)
+            value = weight * sensed(view, sampler, ray, transform)
             dr.forward_from(t)
             return per_path(dr.grad(value), paths.spp)
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from ..camera import Camera
 from ..information.blocks import BLOCK
 from ..render.arrays import upload, widened
-from ..render.paths import first_hit
+from ..render.pixels import first_hit
 from ..render.rays import camera_ray, move_ray, opaque_transform
 from .curves import EDGE, Curves, Placed, bounds, cut, place
 from .edges import EdgeTable
@@ -209,7 +209,7 @@ def look(view: View, arrays: dict[str, Any]) -> tuple[Sides, mi.Ray3f, mi.Color3
         arrays: from `Contours.side_points`.
 
     Returns:
-        The rays in the world; all of it to be evaluated.
+        The rays in the camera frame; all of it to be evaluated.
     """
     import mitsuba as mi
 
@@ -223,7 +223,7 @@ def look(view: View, arrays: dict[str, Any]) -> tuple[Sides, mi.Ray3f, mi.Color3
     contour = dr.rcp(arrays["depth"])
     shows = dr.abs(seen - contour) < dr.minimum(seen - beyond, dr.abs(contour - beyond))
     sides = Sides(dr.select(shows, dr.maximum(contour - beyond, 0.0), 0.0), instance, shape, face, seen)
-    return sides, move_ray(outer, arrays["transform"]), importance
+    return sides, outer, importance
 
 
 def first_seen(

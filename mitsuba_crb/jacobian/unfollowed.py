@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..render.arrays import upload, widened
-from ..render.paths import IntegratorTracer, PathTracer, White
+from ..render.paths import IntegratorTracer, Tracer, White
 from ..render.rays import camera_ray, opaque_transform
 from . import lint
 from .silhouettes import first_seen
@@ -60,7 +60,7 @@ class Unfollowed:
     """Whether the far plane does."""
 
     @staticmethod
-    def of(view: View, tracer: PathTracer | IntegratorTracer | White) -> Unfollowed:
+    def of(view: View, tracer: Tracer | White) -> Unfollowed:
         """Of a view and what traces its paths: `path` and its like pass media by."""
         volumes = isinstance(tracer, IntegratorTracer)
         found = {}

@@ -9,7 +9,7 @@
 The random sign of t makes the difference a central one. Both sides use the same random numbers; the shifted
 ray starts just before p, because occlusion between camera and p is the parallax term's. Diffuse surfaces have
 no view term, except within reach of the shading horizon, where a shading normal turns away from the camera
-before the surface does and radiance jumps.
+before the surface does and radiance jumps. Depth has another, of rotation, too (`DepthTerm`).
 
 Source: design section 4.1.
 """
@@ -23,7 +23,7 @@ import drjit as dr
 import numpy as np
 
 from ..render.arrays import upload
-from ..render.paths import IntegratorTracer, Numbers, PathTracer, Seen
+from ..render.paths import DepthTracer, IntegratorTracer, Numbers, PathTracer, Seen, Tracer
 from ..render.scene import contents
 
 if TYPE_CHECKING:
@@ -88,6 +88,35 @@ class ViewTerm:
             dr.opaque(mi.Float, HORIZON_STEP_PIXELS * pixel),
         )
 
+    def columns(
+        self,
+        view: View,
+        tracer: PathTracer | IntegratorTracer,
+        sampler: mi.Sampler,
+        first: Numbers | None,
+        ray: mi.Ray3f,
+        seen: Seen,
+        distance: mi.Float,
+        lens: mi.Point3f,
+        direction: mi.Vector3f,
+        tangent: mi.Vector3f,
+        transform: mi.Transform4f,
+        weight: mi.Color3f,
+    ) -> list[mi.Color3f]:
+        """The term of one path in the six twist components.
+
+        Args:
+            view, tracer, sampler, first, ray, seen, distance: as for `along`.
+            lens, direction: a and the ray's direction, in the camera frame.
+            tangent: t, normal to the ray, in the camera frame.
+            transform: world from camera.
+            weight: of the path, h over the density that it was drawn from.
+        """
+        across = transform @ tangent
+        change = self.along(view, tracer, sampler, first, ray, seen, distance, across) * weight
+        turning = dr.cross(lens, tangent)
+        return [change * axis for axis in (*tangent, *turning)]
+
     def along(
         self,
         view: View,
@@ -129,6 +158,39 @@ class ViewTerm:
             shifted = _radiance_where(needed, view, tracer, sampler, first, mi.Ray3f(start, direction))
             change[needed] = (shifted - seen.light) * (2.0 * dr.rcp(step * distance))
         return dr.select(hit.is_valid(), change, 0.0)
+
+
+@dataclass(frozen=True)
+class DepthTerm:
+    """How depth changes at a fixed surface point p: ṗ_z = −(ρ + φ×p)_z, in rotation, too."""
+
+    @staticmethod
+    def columns(
+        _view: View,
+        _tracer: DepthTracer,
+        _sampler: mi.Sampler,
+        _first: Numbers | None,
+        _ray: mi.Ray3f,
+        seen: Seen,
+        distance: mi.Float,
+        lens: mi.Point3f,
+        direction: mi.Vector3f,
+        _tangent: mi.Vector3f,
+        _transform: mi.Transform4f,
+        weight: mi.Color3f,
+    ) -> list[mi.Color3f]:
+        """As `ViewTerm.columns` [1, scene unit / rad]."""
+        import mitsuba as mi
+
+        point = mi.Vector3f(lens) + direction * distance
+        weight = dr.select(seen.hit.is_valid(), weight, 0.0)
+        nothing = mi.Color3f(0.0)
+        return [nothing, nothing, -weight, -weight * point.y, weight * point.x, nothing]
+
+
+def view_term(view: View, tracer: Tracer) -> ViewTerm | DepthTerm | None:
+    """What a view needs; None if what it measures at a surface point is the same from everywhere."""
+    return DepthTerm() if isinstance(tracer, DepthTracer) else ViewTerm.of(view, tracer)
 
 
 @dr.syntax  # type: ignore[untyped-decorator]  # Dr.Jit is untyped here

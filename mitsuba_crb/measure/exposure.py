@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..jacobian.method import Paths
-from ..noise import Clipped, Gaussian, NoiseModel, ThresholdNoise
-from ..noise.colour import REC709
+from ..noise import Clipped, Gaussian, Luminance, NoiseModel, ThresholdNoise
 from ..render.random import PILOT
 from ..render.rays import coarse_grid
 
@@ -104,8 +103,7 @@ def start_metering(view: Measurable, seed: int, side: int = GRID) -> Callable[[]
 
     def metered() -> NDArray[np.float64]:
         image = finish()
-        if view.luminance:
-            image = image @ np.array(REC709)[:, None]
+        image = view.measured.values(image)
         return np.stack([image.mean(axis=0), image.var(axis=0, ddof=1) / _BATCHES])
 
     return metered
@@ -120,7 +118,8 @@ class Saturation:
 
     def add(self, expected: NDArray[np.float64], noise: NoiseModel) -> None:
         """The expected image (n, C) of a tile."""
-        if isinstance(noise, ThresholdNoise):
+        limited = noise.noise if isinstance(noise, Luminance) else noise
+        if isinstance(noise, ThresholdNoise) and isinstance(limited, ThresholdNoise):
             found = noise.saturated(expected)
             self.values += found.size
             self.saturated += int(found.sum())

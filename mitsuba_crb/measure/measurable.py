@@ -16,6 +16,7 @@ from ..jacobian.method import Method, Paths
 
 if TYPE_CHECKING:
     from ..camera import Camera
+    from ..noise import Measured
     from .nuisances import Nuisance
 
 
@@ -39,8 +40,8 @@ class Measurable(Protocol):
         """`world_from_camera`, 4x4, rigid."""
 
     @property
-    def luminance(self) -> bool:
-        """Whether the camera has one channel, the luminance of R, G and B."""
+    def measured(self) -> Measured:
+        """What the camera measures of the image."""
 
     @property
     def camera(self) -> Camera:
@@ -53,6 +54,9 @@ class Measurable(Protocol):
     @property
     def methods(self) -> Mapping[str, type[Method]]:
         """Ways to measure the columns of its pixels, by name."""
+
+    def telling(self) -> NDArray[np.bool_] | None:
+        """(H, W) the pixels that measure anything; None: all."""
 
     def at(self, pose: NDArray[np.float64]) -> Self:
         """The same camera at another pose (4, 4)."""

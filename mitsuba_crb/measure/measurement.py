@@ -37,6 +37,7 @@ from .mitsuba_view import open_measurable
 from .nuisances import Nuisance, name_parameters, nuisance_columns
 from .options import MeasurementKeywords, MeasurementOptions
 from .plan import Plan
+from .sensing import RGBD, depth_noise
 from .tile_jacobian import TileJacobian
 from .versions import versions
 
@@ -57,6 +58,8 @@ class Measurement:
     """(H, W), the pixels to measure."""
     selection: PixelSelection
     """What they stand for."""
+    told: NDArray[np.bool_] | None = None
+    """(H, W) which pixels tell anything; None: all. The mask is of such, or of one if there are none."""
     plan: Plan | None = None
     """Where how many paths go; None: as many to every pixel."""
     differences: Differences = dataclasses.field(default_factory=Differences, init=False)
@@ -125,9 +128,12 @@ class Measurement:
 
     def noise(self, model: NoiseModel | None) -> tuple[NoiseModel, str]:
         """The noise model, checked against the image, and where it came from."""
-        if model is None:
+        found: NoiseModel
+        if self.view.measured.depth is not None:
+            found, origin = self._depth_noise(model)
+        elif model is None:
             exposure = self.exposure
-            found: NoiseModel = exposure.noise(clip=self.options.clip)
+            found = exposure.noise(clip=self.options.clip)
             origin = exposure.origin
         else:
             found, origin = as_noise_model(model), "given"
@@ -136,12 +142,18 @@ class Measurement:
                     "--exposure and --no-clip (exposure=, clip=) are of the default noise, and --sigma and "
                     "--noise (noise=, sigma=) of another; leave out one or the other"
                 )
-        if self.view.luminance and not isinstance(found, Luminance):
-            if isinstance(found, CoupledNoise):
-                raise NoiseError("coupled noise needs pixel_format rgb; the film measures luminance")
-            found = Luminance(found)
+        found = self.view.measured.noise(found)
         found.check(self.mask.shape[0], self.mask.shape[1], 3)
         return found, origin
+
+    def _depth_noise(self, model: NoiseModel | None) -> tuple[NoiseModel, str]:
+        """Of a depth camera, which has no exposure."""
+        if model is not None or self.options.exposure is not None or not self.options.clip:
+            raise OptionError(
+                "--sigma, --noise, --exposure and --no-clip (noise=, exposure=, clip=) are of colour; "
+                "--depth-sigma (depth_sigma=) is of depth"
+            )
+        return depth_noise(self.options.depth_sigma, float(abs(self.view.camera.focal[0])))
 
     @cached_property
     def exposure(self) -> Exposure:
@@ -169,7 +181,10 @@ class Measurement:
 
     def noise_facts(self, noise: NoiseModel, origin: str) -> dict[str, Any]:
         """What a provenance says of the noise that was measured under, JSON-able."""
+        if self.view.measured.depth is not None and isinstance(noise, Luminance):
+            noise = noise.noise  # of the one depth of the image's three
         facts = {**noise.to_dict(), "description": noise.description, "origin": origin}
+        facts["unit"] = self.view.measured.unit
         share = self.saturation.share
         return facts if share is None else {**facts, "saturated": share}
 
@@ -327,6 +342,8 @@ class Measurement:
         done, measured, invalid = 0, 0, 0
         parts = [(pixels, paths) for paths, mask in efforts for pixels in subset.tiles(mask, self.tile)]
         for (pixels, paths), (columns, images, image, causes, step_bias) in tile_by_tile(self.method, parts):
+            if self.told is not None:
+                columns *= self.told[pixels[:, 1], pixels[:, 0], None, None]
             values, film = columns[..., :6], columns[..., 6:]
             others = None
             if self.nuisances:
@@ -362,13 +379,20 @@ def measurement(
 ) -> Iterator[Measurement]:
     """A view, opened as `MeasurementOptions` and `pose_bound` say; unchanged afterwards."""
     given = MeasurementOptions(**options)
+    if given.measure == RGBD:
+        raise OptionError(
+            "rgbd is two measurements, of which a bound is the sum; here give --measure colour or depth "
+            "(measure=)"
+        )
     with open_measurable(scene, given, apart=name_parameters(nuisances)) as view:
         method = method_of(view, given.method)
+        told = view.telling()
         mask, selection = subset.choose(
             given.pixels,
             view.size,
             given.seed,
             lambda: whole_pilot(view, Paths(PILOT_SPP, given.seed, 1), given.tile),
+            told,
         )
         side = tile_side(tuple(nuisances), sampled=selection.kind == "random")
         visible = view.visible_depth
@@ -378,8 +402,9 @@ def measurement(
             tile=given.tile if side is None else side * max(1, given.tile // side),
             nuisances=view.open_nuisances(nuisances, method),
             length_scale=float(np.median(visible)) if visible.size else 1.0,
-            mask=mask,
+            mask=mask if told is None else subset.telling(mask, told),
             selection=selection,
+            told=told,
         )
 
 

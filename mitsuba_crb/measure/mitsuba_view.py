@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar, Self
 
@@ -14,6 +15,7 @@ from ..jacobian import lint
 from ..jacobian.method import Method, Paths
 from ..jacobian.methods import METHODS
 from ..render import visibility
+from ..render.depth import DepthMap, depth_map
 from ..render.fit import Wanted
 from ..render.pixels import start_pixels, summed
 from ..render.view import View, open_view
@@ -26,6 +28,15 @@ class MitsubaView(View):
     """An open view with what a measurement asks of it, see `Measurable`."""
 
     methods: ClassVar[dict[str, type[Method]]] = METHODS
+
+    @functools.cached_property
+    def depth_map(self) -> DepthMap | None:
+        """What becomes of the pixels of a depth camera."""
+        return None if self.measured.depth is None else depth_map(self, self.measured.depth)
+
+    def telling(self) -> NDArray[np.bool_] | None:
+        """See `Measurable.telling`."""
+        return None if self.depth_map is None else self.depth_map.measured
 
     def at(self, pose: NDArray[np.float64]) -> Self:
         """The same camera at another pose (4, 4)."""
@@ -60,12 +71,14 @@ class MitsubaView(View):
         return visibility.nothing_lit(self) if black else visibility.nothing_visible(self)
 
     def provenance(self) -> dict[str, Any]:
-        """The integrator's name, the field of view [deg] along x and y, a calibration, a luminance film."""
+        """The integrator's name, the field of view [deg] along x and y, a calibration; what is measured."""
         python = type(self.integrator).__module__ != "mitsuba"
         name = type(self.integrator).__name__ if python else self.integrator.class_name()
-        film = {"film": "luminance"} if self.luminance else {}
         lens = {} if self.calibration is None else {"camera": self.calibration.intrinsics.to_dict()}
-        return {"integrator": name, "fov_deg": self.camera.field_of_view_deg, **lens, **film}
+        measures: dict[str, Any] = {"what": self.measured.name, "unit": self.measured.unit}
+        if self.depth_map is not None:
+            measures["pixels"] = self.depth_map.counts()
+        return {"measures": measures, "integrator": name, "fov_deg": self.camera.field_of_view_deg, **lens}
 
 
 def wanted(options: MeasurementOptions) -> Wanted:
@@ -84,6 +97,7 @@ def open_measurable(scene: Any, options: MeasurementOptions, *, apart: bool = Fa
         integrator=options.integrator,
         size=options.size,
         camera=options.camera,
+        measured=options.measured,
         apart=apart,
     ) as view:
         yield MitsubaView(*(getattr(view, field.name) for field in dataclasses.fields(view)))

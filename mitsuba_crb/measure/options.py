@@ -15,7 +15,9 @@ from ..errors import OptionError
 
 if TYPE_CHECKING:
     from ..camera import Intrinsics
+    from ..noise import Measured
     from .adaptive import Round
+    from .sensing import DepthSigma
     from .tile_jacobian import TileJacobian
 
 Progress = Callable[["TileJacobian", int, int], None]
@@ -46,6 +48,11 @@ class MeasurementKeywords(TypedDict, total=False):
     step_pixels: float | None
     exposure: float | Literal["auto"] | None
     clip: bool
+    channels: str | None
+    measure: str
+    depth_sigma: DepthSigma | None
+    depth_range: tuple[float, float] | None
+    depth_edges: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +109,16 @@ class MeasurementOptions:
     """White of the default noise [radiance]; None sets it for all views of a run, "auto" for each."""
     clip: bool = True
     """Whether the default noise's camera saturates above white."""
+    channels: str | None = None
+    """Of colour: a name in `noise.measured.CHANNELS`; None is what the film measures."""
+    measure: str = "colour"
+    """A name in `sensing.MEASURES`; of "rgbd" colour and depth have independent noise."""
+    depth_sigma: DepthSigma | None = None
+    """Noise of depth: its standard deviation [scene unit], `Stereo`, or a model; None: 0.01 of the depth."""
+    depth_range: tuple[float, float] | None = None
+    """Lowest and highest depth that is measured [scene unit]; None: all that is seen."""
+    depth_edges: bool = False
+    """Whether depth is measured where one surface ends in front of another within a pixel's filter, too."""
 
     def __post_init__(self) -> None:
         from ..camera import Intrinsics, image_size
@@ -133,6 +150,7 @@ class MeasurementOptions:
                     f"exposure must be a radiance, positive and finite, or 'auto'; got {self.exposure!r}"
                 )
             object.__setattr__(self, "exposure", float(self.exposure))
+        _ = self.measured
         if self.size is not None:
             object.__setattr__(self, "size", image_size(self.size))
         if self.camera is not None and not isinstance(self.camera, Intrinsics):
@@ -164,6 +182,13 @@ class MeasurementOptions:
             raise OptionError(
                 f"spp {self.spp} is not a multiple of batches {self.batches}; the nearest is {nearest}"
             )
+
+    @property
+    def measured(self) -> Measured | None:
+        """What is measured; None: what the film does. Of "rgbd" it is the colour's."""
+        from .sensing import measured_by
+
+        return measured_by(self)
 
     @property
     def uniform_spp(self) -> int:

@@ -8,14 +8,18 @@ import warnings
 from collections.abc import Sequence
 from typing import Any, Unpack
 
-from ..bound.cramer_rao import PoseBound, joint_bound
-from ..errors import BlindSpotWarning, PrecisionWarning, SceneWarning
+from ..bound.cramer_rao import PoseBound, cramer_rao_bound, joint_bound
+from ..errors import BlindSpotWarning, OptionError, PrecisionWarning, SceneWarning
+from ..information.fisher import FisherInformation
 from ..information.image_jacobian import ImageJacobian
 from ..noise import NoiseModel
 from ..render.lending import in_turn
+from ..render.scene import as_scene
 from .adaptive import answer
 from .measurement import measurement
-from .options import MeasurementKeywords
+from .mitsuba_view import wanted
+from .options import MeasurementKeywords, MeasurementOptions
+from .sensing import COLOUR, DEPTH, RGBD
 
 _NO_ERROR = (
     "rare paths decide on the errors of {}, and few have been met: what is stated is no error, whatever its "
@@ -69,7 +73,8 @@ def pose_bound(
         prior: information known beforehand, see `cramer_rao_bound`.
         nuisances: names of parameters that are not known either, see `nuisance`. The bound's `joint` can
             undo that, and its `if_known` says what each costs.
-        options: see `MeasurementOptions`.
+        options: see `MeasurementOptions`. Of "rgbd" the noise is the colour's, and the information is the sum
+            of colour's and depth's.
 
     Returns:
         `PoseBound`, matrices in the camera frame; `.provenance` says how it was made.
@@ -83,6 +88,8 @@ def pose_bound(
         NuisanceWarning: the image does not see a nuisance.
         PrecisionWarning: as `joint_bound`; rare bright paths decide, so that the stated errors are none.
     """
+    if options.get("measure") == RGBD:
+        return _rgbd_bound(scene, noise, prior, nuisances, options)
     start = time.perf_counter()
     caught: list[warnings.WarningMessage] = []
     try:
@@ -124,3 +131,52 @@ def pose_bound(
         },
     }
     return dataclasses.replace(bound, provenance=provenance)
+
+
+def _rgbd_bound(
+    scene: Any, noise: NoiseModel | None, prior: Any, nuisances: Sequence[str], options: MeasurementKeywords
+) -> PoseBound:
+    """Of colour and depth with independent noise, seen from one pose; arguments as of `pose_bound`.
+
+    Depth comes first, for it is nearly free: paths of colour go where they still tell something beside it.
+    """
+    given = MeasurementOptions(**options)
+    if nuisances:
+        raise OptionError(
+            "what colour and depth have in common of a nuisance is not known: leave out --marginalize "
+            "(nuisances=), or give --measure colour or depth"
+        )
+    start = time.perf_counter()
+    loaded, label = as_scene(scene, wanted(given))
+    of_colour: tuple[str, ...] = ("channels", "exposure", "clip", "on_tile")
+    of_depth: tuple[str, ...] = ("depth_sigma", "depth_range", "depth_edges")
+    alone: Any = {name: value for name, value in options.items() if name not in of_colour}
+    depth = pose_bound(loaded, **{**alone, "measure": DEPTH})
+    alone = {name: value for name, value in options.items() if name not in of_depth}
+    known = _image_alone(depth)
+    before = known if prior is None else cramer_rao_bound(known, prior=prior).information
+    colour = pose_bound(loaded, noise, prior=before, **{**alone, "measure": COLOUR})
+    both = cramer_rao_bound(known + _image_alone(colour), prior=prior)
+    facts, others = colour.provenance, depth.provenance
+    lists = ("warnings", "no_error", "no_bound")
+    told = {name: list(dict.fromkeys([*facts[name], *others[name]])) for name in lists}
+    provenance = {
+        **facts,
+        **told,
+        "scene": label,
+        "measures": {"what": RGBD, "colour": facts["measures"], "depth": others["measures"]},
+        "depth": {name: others.get(name) for name in ("noise", "spp", "sampling", "finite_differences")},
+        "noise_inflation": both.information.noise_inflation,
+        "seconds": {
+            "depth": others["seconds"]["total"],
+            "colour": facts["seconds"]["total"],
+            "total": time.perf_counter() - start,
+        },
+    }
+    return dataclasses.replace(both, provenance=provenance)
+
+
+def _image_alone(bound: PoseBound) -> FisherInformation:
+    """The information of the image, without the prior."""
+    assert bound.joint is not None
+    return bound.joint.information

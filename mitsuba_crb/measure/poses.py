@@ -35,6 +35,7 @@ from .nuisances import name_parameters
 from .options import MeasurementKeywords, MeasurementOptions
 from .pose import pose_bound
 from .pose_table import PoseRow, PoseTable
+from .sensing import DEPTH
 from .versions import versions
 
 Progress = Callable[[int, int], None]
@@ -265,7 +266,7 @@ def _white(
 
     The more poses, the fewer pixels of each.
     """
-    if noise is not None or options.get("exposure") is not None:
+    if noise is not None or options.get("exposure") is not None or options.get("measure") == DEPTH:
         return None
     side = max(_COARSEST, math.ceil(math.sqrt(_POOLED / len(poses))))
     there: MeasurementKeywords = {**options, "pose": poses[0]}

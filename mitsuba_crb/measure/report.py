@@ -26,6 +26,7 @@ from .mitsuba_view import wanted
 from .options import MeasurementKeywords, MeasurementOptions
 from .pictures import Gathering, Pictures
 from .pose import pose_bound
+from .sensing import COLOUR
 from .tile_jacobian import TileJacobian
 
 
@@ -80,6 +81,11 @@ def bound_report(
     """
     start = time.perf_counter()
     hcr = hcr or displacements is not None
+    if hcr and options.get("measure", COLOUR) != COLOUR:
+        raise OptionError(
+            "--hcr (hcr=True) is of colour: pixels of a displaced camera may measure no depth, and what that "
+            "tells is not defined; leave it out"
+        )
     if hcr and (prior or nuisances):
         raise OptionError(
             "--hcr (hcr=True) knows neither priors nor nuisances; leave out --prior and --marginalize"

@@ -22,6 +22,7 @@ from .heavy_tails import Laplace as Laplace
 from .heavy_tails import StudentT as StudentT
 from .heteroscedastic import Heteroscedastic as Heteroscedastic
 from .low_rank import LowRankPlusDiagonal as LowRankPlusDiagonal
+from .measured import Measured as Measured
 from .poisson_gaussian import PoissonGaussian as PoissonGaussian
 from .protocol import CoupledNoise as CoupledNoise
 from .protocol import IndependentNoise as IndependentNoise
@@ -32,6 +33,9 @@ from .schema import from_dict as from_dict
 from .schema import load as load
 from .sensor import Quantisation as Quantisation
 from .sensor import Sensor as Sensor
+from .sigma_of_mean import SigmaPower as SigmaPower
+from .sigma_of_mean import SigmaTable as SigmaTable
+from .sigma_of_mean import Stereo as Stereo
 from .sparse import SparsePrecision as SparsePrecision
 from .stationary import Periodic as Periodic
 from .stationary import Stationary as Stationary

@@ -36,6 +36,7 @@ from .low_rank import LowRankPlusDiagonal
 from .poisson_gaussian import PoissonGaussian
 from .protocol import NoiseModel
 from .sensor import NoiseAt, Quantisation, Sensor
+from .sigma_of_mean import SigmaPower, SigmaTable
 from .sparse import SparsePrecision
 from .stationary import Periodic, Stationary
 
@@ -168,6 +169,8 @@ MODELS: Makers = {
     "clipped": (Clipped, {"sigma": float, "white": float}),
     "colour_blocks": (ColourBlocks, {"covariance": Array}),
     "heteroscedastic": (Heteroscedastic, {"coefficients": Values}),  # variance = c0 + c1 mean + ...
+    "sigma_power": (SigmaPower, {"factor": float, "exponent": float}),  # sigma = factor mean^exponent
+    "sigma_table": (SigmaTable, {"means": Numbers, "sigmas": Values}),
     "poisson_gaussian": (PoissonGaussian, {"gain": Value, "read_noise": Value}),
     "student_t": (StudentT, {"scale": Value, "nu": float}),
     "laplace": (Laplace, {"scale": Value}),

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import drjit as dr
 
-from .pixels import known_integrator, radiance
+from .pixels import depth_of, first_hit, known_integrator, radiance
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -40,6 +40,8 @@ _UNLIKELY = 1e-20
 
 Numbers: TypeAlias = "tuple[mi.Point2f, mi.Point2f]"
 """Random numbers in [0, 1)² of a surface, for the emitter and for the direction in which the path goes on."""
+Tracer: TypeAlias = "PathTracer | IntegratorTracer | DepthTracer"
+"""What traces camera paths."""
 
 
 @dataclass(frozen=True)
@@ -48,28 +50,17 @@ class Seen:
 
     hit: mi.SurfaceInteraction3f
     light: mi.Color3f
-    """L [radiance]."""
+    """L [radiance], or what else is measured."""
     incident: list[tuple[mi.Vector3f, mi.Color3f]]
     """ω_i in the hit's shading frame and E_i; empty if the integrator does not tell."""
 
 
-def tracer(view: View) -> PathTracer | IntegratorTracer:
+def tracer(view: View) -> Tracer:
     """What traces the view's camera paths."""
+    if view.measured.depth is not None:
+        return DepthTracer.of(view)
     known = known_integrator(view.integrator)
     return IntegratorTracer() if known is None else PathTracer(*known[1:])
-
-
-def first_hit(view: View, ray: mi.Ray3f, active: mi.Bool | bool = True) -> mi.SurfaceInteraction3f:
-    """The first surface that the integrator sees along camera rays in the world."""
-    import mitsuba as mi
-
-    active = mi.Bool(active)
-    hit = view.scene.ray_intersect_preliminary(ray, coherent=True, reorder=False, active=active)
-    if view.integrator.hide_emitters:
-        hidden = active & hit.is_valid() & (hit.shape.emitter() != None)  # noqa: E711  # an array
-        lamp = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, hidden)
-        hit[hidden] = view.integrator.skip_area_emitters(view.scene, lamp.spawn_ray(ray.d), True, hidden)
-    return hit.compute_surface_interaction(ray, mi.RayFlags.All, active)
 
 
 @dataclass(frozen=True)
@@ -97,6 +88,31 @@ class White:
         import mitsuba as mi
 
         return Seen(first_hit(view, ray), mi.Color3f(1.0), [])
+
+
+@dataclass(frozen=True)
+class DepthTracer:
+    """What is seen of everything is its depth: rays end at the first surface."""
+
+    axis: mi.Vector3f
+    """The optical one, in the world."""
+    start: mi.Float
+    """Depth at which rays start [scene unit]."""
+    hides_emitters: bool
+    """Whether the integrator does, through which depth is measured then."""
+
+    @staticmethod
+    def of(view: View) -> DepthTracer:
+        """Of a view's camera."""
+        import mitsuba as mi
+
+        axis = mi.Vector3f(*(dr.opaque(mi.Float, float(x)) for x in view.pose[:3, 2]))
+        return DepthTracer(axis, dr.opaque(mi.Float, view.near_clip), bool(view.integrator.hide_emitters))
+
+    def trace(self, view: View, _sampler: mi.Sampler, ray: mi.Ray3f, _first: Numbers | None = None) -> Seen:
+        """As the others, with depth for light [scene unit]."""
+        hit = first_hit(view, ray)
+        return Seen(hit, depth_of(hit, ray, self.axis, self.start), [])
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
     I_u = ∫ h(v − c_u) L(v) dv,   h normalised to ∫h = 1,   L = radiance along the camera ray of film point v.
 
+A depth camera measures z in the place of L, the depth of what the ray hits along the optical axis.
+
 Each pixel draws its own offsets v − c_u from a density close to |h| and weighs by h/density, so there is no
 splatting, no weight normalisation and no cut at the film's border; its samples are summed in a fixed order
 inside the kernel, so equal calls give equal bits. Random numbers belong to (seed, purpose, pixel, batch),
@@ -54,6 +56,51 @@ def radiance(view: View, sampler: mi.Sampler, ray: mi.Ray3f, active: mi.Bool | b
     return mi.Color3f(result[0])
 
 
+def sensed(
+    view: View, sampler: mi.Sampler, ray: mi.Ray3f, transform: mi.Transform4f, active: mi.Bool | bool = True
+) -> mi.Color3f:
+    """What the camera measures along a ray in its own frame: radiance, or the depth of the first surface."""
+    import mitsuba as mi
+
+    world_ray = move_ray(ray, transform)
+    if view.measured.depth is None:
+        return radiance(view, sampler, world_ray, active)
+    hit = first_hit(view, world_ray, active)
+    return depth_of(hit, world_ray, transform @ mi.Vector3f(0.0, 0.0, 1.0), ray.o.z)
+
+
+def depth_of(hit: mi.SurfaceInteraction3f, ray: mi.Ray3f, axis: mi.Vector3f, start: mi.Float) -> mi.Color3f:
+    """Depth of what a ray in the world hits, 0 of what escapes [scene unit].
+
+    Args:
+        axis: the optical one, in the world.
+        start: the ray's own depth there [scene unit].
+    """
+    import mitsuba as mi
+
+    return mi.Color3f(dr.select(hit.is_valid(), start + dr.dot(hit.p - ray.o, axis), 0.0))
+
+
+def first_hit(view: View, ray: mi.Ray3f, active: mi.Bool | bool = True) -> mi.SurfaceInteraction3f:
+    """The first surface that the integrator sees along camera rays in the world."""
+    import mitsuba as mi
+
+    active = mi.Bool(active)
+    hit = view.scene.ray_intersect_preliminary(ray, coherent=True, reorder=False, active=active)
+    if view.integrator.hide_emitters:
+        hidden = active & hit.is_valid() & (hit.shape.emitter() != None)  # noqa: E711  # an array
+        lamp = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, hidden)
+        hit[hidden] = view.integrator.skip_area_emitters(view.scene, lamp.spawn_ray(ray.d), True, hidden)
+    return hit.compute_surface_interaction(ray, mi.RayFlags.All, active)
+
+
+def kernel_key(view: View) -> tuple[Any, ...] | None:
+    """What kernels that call `sensed` depend on beside the scene; None if that is not known."""
+    if view.measured.depth is not None:
+        return "depth", bool(view.integrator.hide_emitters)
+    return known_integrator(view.integrator)
+
+
 def known_integrator(integrator: mi.Integrator) -> tuple[str, int, int] | None:
     """Class, max_depth and rr_depth of Mitsuba's path tracers, of which that is all; None of others.
 
@@ -94,7 +141,7 @@ def render_pixels(
             every path in step with its twin of the same seed at another pose.
 
     Returns:
-        (batches, n, 3) float64, linear RGB radiance.
+        (batches, n, 3) float64, linear RGB radiance; of a depth camera three times the depth [scene unit].
     """
     total = start_pixels(
         view, pixels, spp=spp, seed=seed, batches=batches, pose=pose, purpose=purpose, even=even
@@ -144,7 +191,7 @@ def start_pixels(
             even,
         )
 
-    known = known_integrator(view.integrator)
+    known = kernel_key(view)
     total = view.recorder.ready("pixels", body, view, arrays, known and (known, key, even))()
     return mi.Color3f(total)
 
@@ -185,7 +232,7 @@ def sum_samples(
             offset, weight = pixel_filter.sample(own.next_2d())
         aperture = own.next_2d()
         ray, importance = camera_ray(view, centre + mi.Vector2f(offset), aperture)
-        total += weight * importance * radiance(view, own, move_ray(ray, transform))
+        total += weight * importance * sensed(view, own, ray, transform)
         if dr.hint(not even, mode="scalar"):
             state = own.rng.state
         i += 1

@@ -34,6 +34,7 @@ from ..errors import (
     SensorError,
     TracingError,
 )
+from ..noise.measured import CHANNELS, COLOUR
 from .cures import one_line
 from .fit import CROP_DROPPED, Wanted, find
 from .integrators import find_integrator
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
     from ..camera import Camera, Intrinsics
+    from ..noise import Measured
     from .film import PixelFilter
     from .film_map import Bend, Calibration, FilmMap
     from .recorded import Recorder
@@ -74,8 +76,8 @@ class View:
     """The scene's file, or what kind of object it came from."""
     recorder: Recorder
     """Of the scene's kernels."""
-    luminance: bool = False
-    """Whether the film has one channel, the luminance, in place of R, G and B."""
+    measured: Measured = COLOUR
+    """What the camera measures: what its film does, if not told otherwise."""
     calibration: Calibration | None = None
     """Of the camera that the sensor stands in for; None: the sensor is the camera."""
 
@@ -197,6 +199,7 @@ def open_view(
     integrator: Any = None,
     size: tuple[int, int] | None = None,
     camera: Intrinsics | None = None,
+    measured: Measured | None = None,
     apart: bool = False,
 ) -> Iterator[View]:
     """Load what is not loaded, check it, and lend it as a `View`; restores the sensor afterwards.
@@ -213,6 +216,7 @@ def open_view(
             what the file says, along the axis that it names; of an `mi.Scene` the shape has to stay.
         camera: in place of the sensor's focal length, principal point, film size and crop window; with a
             `size`, scaled to that.
+        measured: in place of what the film measures; depth only through a pinhole.
         apart: every mesh and material of a file or dictionary is an object of its own.
 
     Raises:
@@ -234,7 +238,7 @@ def open_view(
             recorder = _kept[0][1]
         _kept[:] = [(loaded, recorder)] if loaded is scene else []
         lent, variable = _find_sensor(loaded, sensor)
-        luminance = _check_film(lent.film())
+        film = _measured_by(lent.film())
         _check_shape(lent, variable, size)
         radiance = find_integrator(loaded, lent, integrator)
         with at_identity(lent, variable, size) as to_world:
@@ -247,7 +251,13 @@ def open_view(
             world_from_camera = se3.as_pose(*found)
             width, height = lent.film().crop_size()
             size = int(width), int(height)
-            view = View(loaded, lent, radiance, world_from_camera, size, variable, label, recorder, luminance)
+            if measured is not None and measured.depth is not None and lent.needs_aperture_sample():
+                raise SensorError(
+                    f"sensor {variable} has a thin lens, and depth is measured through a pinhole: use "
+                    "perspective in place of thinlens"
+                )
+            measured = measured or film
+            view = View(loaded, lent, radiance, world_from_camera, size, variable, label, recorder, measured)
             if camera is not None:
                 view = view.seen_through(camera)
             with tracing(radiance):
@@ -297,8 +307,8 @@ def _children(sensors: list[mi.Sensor], first: int = 0) -> list[str]:
     return names
 
 
-def _check_film(film: mi.Film) -> bool:
-    """Whether a film measures luminance alone; linear RGB otherwise."""
+def _measured_by(film: mi.Film) -> Measured:
+    """What a film measures: luminance alone, or linear RGB."""
     if film.class_name() != "HDRFilm":
         raise FilmError(f"the film is a {film.class_name()}; use hdrfilm with pixel_format rgb")
     found = re.search(r"pixel_format = (\w+)", str(film))
@@ -307,7 +317,7 @@ def _check_film(film: mi.Film) -> bool:
         raise FilmError(
             f"the film's pixel_format is {pixel_format}, which does not measure linear RGB; set it to rgb"
         )
-    return pixel_format.startswith("y")
+    return CHANNELS["luminance" if pixel_format.startswith("y") else "rgb"]
 
 
 def _check_shape(sensor: mi.Sensor, name: str, size: tuple[int, int] | None) -> None:

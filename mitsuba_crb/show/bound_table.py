@@ -178,7 +178,11 @@ def _bound_facts(bound: PoseBound) -> list[tuple[str, str]]:
         )
     )
     rows.append(("length scale", _length_scale(bound.length_scale)))
+    measures = facts.get("measures", {})
+    rows += measured_facts(measures)
     rows.append(("noise", _noise(facts["noise"])))
+    if facts.get("depth"):
+        rows.append(("noise of depth", _noise(facts["depth"]["noise"])))
     if facts.get("prior"):
         rows.append(("prior", f"{facts['prior']}, included"))
     inflation = facts.get("noise_inflation")
@@ -202,6 +206,25 @@ def _bound_facts(bound: PoseBound) -> list[tuple[str, str]]:
         rows.append(("finite differences", _differences(differences)))
     rows.append(("time", _seconds(facts["seconds"])))
     return rows
+
+
+def measured_facts(measures: dict[str, Any]) -> list[tuple[str, str]]:
+    """What is measured, if it is not colour, and which pixels tell a depth."""
+    if measures.get("what", "colour") == "colour":
+        return []
+    depth = measures.get("depth", measures)
+    if "pixels" not in depth:
+        return [("measures", f"{measures['what']}, one channel [{measures['unit']}]")]
+    counts = {name: count for name, count in depth["pixels"].items() if count}
+    rest = ", ".join(f"{name} {count}" for name, count in counts.items() if name != "measured")
+    without = f", none at {rest}" if rest else ""
+    what = "colour and depth" if "colour" in measures else "depth"
+    return [
+        (
+            "measures",
+            f"{what} along the optical axis [scene unit]: {counts.get('measured', 0)} pixels{without}",
+        )
+    ]
 
 
 def _paths(facts: dict[str, Any]) -> str:
@@ -246,7 +269,9 @@ def _length_scale(length: float) -> str:
 
 def _noise(noise: dict[str, Any]) -> str:
     sigma, origin = noise.get("sigma"), noise.get("origin")
-    named = f"Gaussian, σ = {sigma:.4g}" if sigma is not None else str(noise.get("description", "given"))
+    named = str(noise.get("description", "given"))
+    if sigma is not None:
+        named = f"Gaussian, σ = {sigma:.4g}" + " scene unit" * (noise.get("unit") == "scene unit")
     text = named if not origin else f"{named} (given)" if origin == "given" else f"{named}: {origin}"
     share = noise.get("saturated")
     if share is None:

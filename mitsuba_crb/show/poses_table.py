@@ -15,6 +15,7 @@ from ..bound.cramer_rao import LARGEST_RELATIVE_ERROR
 from ..measure.exposure import RELATIVE_SIGMA
 from ..measure.options import PRECISION
 from ..measure.pose_table import ranks
+from ..measure.sensing import COLOUR, DEPTH
 from .terminal import new_table, print_facts, print_line, print_notes
 
 if TYPE_CHECKING:
@@ -177,6 +178,15 @@ def _facts(table: PoseTable) -> list[tuple[str, str]]:
 
 
 def _noise(settings: dict[str, Any]) -> str:
+    measure = settings.get("measure", COLOUR)
+    if measure == COLOUR:
+        return _noise_of_colour(settings)
+    given = settings.get("depth_sigma")
+    text = "of depth: 0.01 of the depth" if given is None else f"of depth [scene unit]: {given}"
+    return text if measure == DEPTH else f"{_noise_of_colour(settings)}; {text}"
+
+
+def _noise_of_colour(settings: dict[str, Any]) -> str:
     white, given = settings.get("white"), settings.get("noise")
     if given is not None:
         return f"given: {', '.join(f'{name} {value}' for name, value in given.items())}"

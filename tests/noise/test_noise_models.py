@@ -111,6 +111,37 @@ class TestHeteroscedastic(NoiseLaws):
         return stats.norm(mean, np.sqrt(self.variance(mean))).logpdf(values).sum(axis=1)
 
 
+class TestSigmaPower(NoiseLaws):
+    model = noise.SigmaPower(0.4, 2.0)
+    means = ((0.3, 0.1, 0.7), (1.5, 2.0, 0.9))
+
+    def sigma(self, mean):
+        return 0.4 * mean**2
+
+    def draw(self, rng, mean):
+        return mean + self.sigma(mean) * rng.normal(size=(DRAWS, 3))
+
+    def log_likelihood(self, values, mean):
+        return stats.norm(mean, self.sigma(mean)).logpdf(values).sum(axis=1)
+
+    def test_what_has_no_spread_tells_nothing(self):
+        np.testing.assert_array_equal(self.model.weights(ORIGIN, np.array([[0.0, -1.0]])), 0.0)
+
+
+class TestSigmaTable(TestSigmaPower):
+    """Between its rows and beyond them."""
+
+    model = noise.SigmaTable([0.2, 0.5, 1.5], [0.05, 0.2, 1.0])
+    means = ((0.3, 0.1, 0.7), (1.7, 0.4, 0.9))
+
+    def sigma(self, mean):
+        return np.interp(mean, [0.2, 0.5, 1.5], [0.05, 0.2, 1.0])
+
+    def test_what_has_no_spread_tells_nothing(self):
+        with pytest.raises(NoiseError):
+            noise.SigmaTable([0.0, 1.0], [0.0, 1.0])
+
+
 class TestStudentT(NoiseLaws):
     model = noise.StudentT(scale=0.2, nu=3.5)
 
@@ -349,6 +380,11 @@ def test_srgb_is_the_standards_curve():
         (lambda: noise.Heteroscedastic([0.0, 1.0]), "black pixel"),
         (lambda: noise.Heteroscedastic([]), "coefficients"),
         (lambda: noise.Heteroscedastic([1.0, -1.0]).weights(ORIGIN, np.array([[2.0]])), "variance is -1"),
+        (lambda: noise.SigmaPower(0.0, 2.0), "factor must be positive"),
+        (lambda: noise.SigmaTable([1.0, 3.0, 2.0], [1.0, 1.0, 1.0]), "must increase; row 3 does not"),
+        (lambda: noise.SigmaTable([1.0, 2.0], [1.0, np.nan]), "sigma in a table"),
+        (lambda: noise.SigmaTable([1.0], [1.0]), "two at least"),
+        (lambda: noise.Stereo(0.0, 0.1), "baseline must be positive"),
         (lambda: noise.StudentT(0.1, 0.0), "nu must be positive"),
         (lambda: noise.Laplace(-1.0), "scale must be positive"),
         (lambda: noise.Clipped(0.0, 1.0), "sigma must be positive"),

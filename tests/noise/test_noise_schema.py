@@ -18,6 +18,8 @@ MODELS = [
     noise.PerChannel([0.1, 0.2, 0.3]),
     noise.ColourBlocks(np.eye(3) + 0.1),
     noise.Heteroscedastic([0.1, 0.2]),
+    noise.SigmaPower(0.01, 2.0),
+    noise.SigmaTable([1.0, 2.0, 5.0], [0.01, 0.02, 0.1]),
     noise.PoissonGaussian(0.01, 0.02),
     noise.StudentT(0.1, 3.0),
     noise.Laplace(0.1),
