@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flow_scenes import GREY, THIN_LENS
+from flow_scenes import GREY, THIN_LENS, mesh
 from matrices import misfit
 from numpy.typing import NDArray
 from small_scenes import T, camera, mi, scene, textured_wall, wall
@@ -140,6 +140,20 @@ class TestPixels:
         ball = {"type": "sphere", "center": [0, 1, 0], "radius": 5.0, "bsdf": GREY, "flip_normals": True}
         for world in (scene(room=room, sensor=camera(target=(2, 1.9, 3))), scene(ball=ball)):
             assert self.counts(world)["measured"] == 32 * 24
+
+    def test_seams_between_the_triangles_of_a_depth_map_are_no_gaps(self) -> None:
+        """A wall with a vertex wherever the lattice's rays would meet it, were those in their even places."""
+        with open_view(scene(wall=wall(), sensor=camera(target=(0, 0, 3)))) as view:
+            lens = view.camera
+        x, y = np.meshgrid(*((np.arange(-9, 4 * n + 10) + 0.5) / 4 for n in (32, 24)))
+        film = np.stack([x, y], axis=-1)
+        tangent = (film - lens.centre) * lens.scale
+        vertices = 3.0 * np.concatenate([tangent, np.ones((*x.shape, 1))], axis=-1)
+        i = np.arange(x.size).reshape(x.shape)
+        a, b, c, d = (part.ravel() for part in (i[:-1, :-1], i[:-1, 1:], i[1:, :-1], i[1:, 1:]))
+        faces = np.concatenate([np.stack([a, c, b], axis=1), np.stack([b, c, d], axis=1)])
+        scan = mesh(vertices.reshape(-1, 3), faces, GREY)
+        assert self.counts(scene(scan=scan, sensor=camera(target=(0, 0, 3))))["measured"] == 32 * 24
 
     @pytest.mark.parametrize("name", ["box", "gaussian"])
     def test_an_edge_takes_the_pixels_whose_filter_it_crosses(self, name: str) -> None:
