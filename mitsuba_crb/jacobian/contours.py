@@ -58,7 +58,16 @@ _CHUNK = 1 << 19
 class ParallaxTerm:
     """The parallax term of dI/dξ in the camera frame at some pixels, on its way (see `method.Tile`)."""
 
-    def __init__(self, view: View, contours: Contours, pixels: Ints, baseline: Floats, paths: Paths) -> None:
+    def __init__(
+        self,
+        view: View,
+        contours: Contours,
+        pixels: Ints,
+        baseline: Floats,
+        paths: Paths,
+        *,
+        slopes: Floats | None = None,
+    ) -> None:
         """Of the view's contours, nothing started yet.
 
         Args:
@@ -66,6 +75,7 @@ class ParallaxTerm:
             pixels: (n, 2) columns and rows; those of one block must come in one call.
             baseline: (n, 3) Ī_u, any constants near the image that do not come from these random numbers.
             paths: those of the other terms; they set the number of samples here.
+            slopes: (n, 2) of a baseline that is linear on the film, Ī_u at the pixel's middle [1/pixel].
         """
         of_pixel = pixels[:, 1] // BLOCK * contours.columns + pixels[:, 0] // BLOCK
         blocks = np.unique(of_pixel[contours.samples[of_pixel] > 0.0])
@@ -76,7 +86,14 @@ class ParallaxTerm:
             part = blocks[chunk == which]
             mine = np.flatnonzero(np.isin(of_pixel, part))
             term = _BlocksTerm(
-                view, contours, part, count[chunk == which], pixels[mine], baseline[mine], paths
+                view,
+                contours,
+                part,
+                count[chunk == which],
+                pixels[mine],
+                baseline[mine],
+                None if slopes is None else slopes[mine],
+                paths,
             )
             self._parts.append((mine, term))
         self._found = [_nothing(contours, paths.batches)]
@@ -149,11 +166,12 @@ class _BlocksTerm:
         count: Ints,
         pixels: Ints,
         baseline: Floats,
+        slopes: Floats | None,
         paths: Paths,
     ) -> None:
         """Of `count` samples per block and batch."""
         self._view, self._contours, self._paths = view, contours, paths
-        self._blocks, self._count, self._baseline = blocks, count, baseline
+        self._blocks, self._count, self._baseline, self._slopes = blocks, count, baseline, slopes
         self._slot = _slots(contours, blocks, pixels)
         self._looked: Any = None
 
@@ -218,6 +236,13 @@ class _BlocksTerm:
         matrix = csr_array((height[inside], place[inside], ends), shape=(len(shown), batches * n))
         sums = (matrix.T @ moments).reshape(batches, n, 4, contours.twists)
         terms = sums[:, :, 1:] - self._baseline[touched, :, None] * sums[:, :, :1]
+        if self._slopes is not None:
+            # `offset` is from the film point to the pixel's middle.
+            away = np.broadcast_arrays(offset[:, :, None, 0], offset[:, None, :, 1])
+            for axis in (0, 1):
+                matrix.data = (height * away[axis].reshape(rows.shape))[inside]
+                tilt = (matrix.T @ moments[:, : contours.twists]).reshape(batches, n, 1, contours.twists)
+                terms += self._slopes[touched, axis, None, None] * tilt
         return touched, np.asarray(terms), np.asarray(sums[:, :, 0, :3].transpose(2, 0, 1))
 
 

@@ -42,6 +42,7 @@ from ..render.recorded import join, split
 from . import finite_difference
 from .closure import BATCHES, PATHS, FilmBlocks, breaches, matters, suspects
 from .contours import Contours, ParallaxTerm, find_contours
+from .depth_pilot import DepthPilot
 from .film_flow import FilmFlow
 from .method import Estimates, Paths
 from .pair_sums import sum_pairs
@@ -189,8 +190,10 @@ class Flow:
         return np.stack(columns, axis=-1)
 
     @functools.cached_property
-    def pilot(self) -> Pilot:
+    def pilot(self) -> Pilot | DepthPilot:
         """Ī_u of the pixels that will be asked for."""
+        if self.view.measured.depth is not None:
+            return DepthPilot.of(self.view)
         return Pilot.of(self.view, self._mask, self._seed)
 
     def prepare(self, pixels: NDArray[np.int64], paths: Paths) -> FlowTile:
@@ -218,7 +221,9 @@ class FlowTile:
         # Looks at what it traces, so before there are paths to wait for.
         self._causes = self._method.unfollowed.causes(pixels, self._blocks)
         baseline = self._baseline if len(contours.piece) else np.empty((len(pixels), 3))
-        self._parallax = ParallaxTerm(view, contours, pixels, baseline, self._paths)
+        pilot = self._method.pilot
+        slopes = pilot.slopes(pixels) if isinstance(pilot, DepthPilot) else None
+        self._parallax = ParallaxTerm(view, contours, pixels, baseline, self._paths, slopes=slopes)
         columns, image, self._shown, self._closing = self._begin()
         self._parallax.launch()
         self._colors = [*columns, image]
@@ -310,7 +315,7 @@ def filter_and_view_terms(
     view: View,
     prepared: Prepared,
     pixels: NDArray[np.int64],
-    pilot: Pilot | Black,
+    pilot: Pilot | DepthPilot | Black,
     paths: Paths,
 ) -> Callable[[], tuple[list[mi.Color3f], mi.Color3f, mi.Vector4f, mi.Vector3f]]:
     """What starts the paths of some pixels in the background, without the contours' part.
@@ -352,6 +357,7 @@ def filter_and_view_terms(
             EvenNumbers.of(lanes, even_seeds, _DIMENSIONS),
             lanes.centre + film_shift(view.pixel_filter),
             pilot.baseline(arrays["pilot"], lanes),
+            pilot.plane(arrays["pilot"], lanes) if isinstance(pilot, DepthPilot) else None,
             arrays["counts"],
             arrays["number"],
             arrays["starts"],

@@ -37,6 +37,7 @@ def sum_pairs(
     even: EvenNumbers,
     centre: mi.Point2f,
     baseline: mi.Color3f,
+    plane: tuple[mi.Vector2f, list[mi.Float]] | None,
     counts: list[mi.Float],
     number: mi.UInt32,
     starts: mi.UInt32,
@@ -48,6 +49,8 @@ def sum_pairs(
     unbiased, but few of its weights are so large, and the coarse Ī is so far off, that it has specks. These w
     are no larger than `most`, √n times the mean of n paths': truncated importance sampling (Ionides 2008).
 
+    Depth has a `plane` besides, of `DepthPilot`, on top of its baseline.
+
     And translation's three columns of the picture L = 1 without baseline, for `closure`.
     """
     import mitsuba as mi
@@ -55,6 +58,7 @@ def sum_pairs(
     pairs, transform = prepared.pairs, prepared.transform
     view_term: Any = prepared.view_term
     world_to_camera = transform.inverse()
+    slope, known = plane or (None, [])
     columns = [mi.Color3f(0.0) for _ in range(6 + len(prepared.film_flows))]
     image, shown, closing = mi.Color3f(0.0), mi.Vector4f(0.0), mi.Vector3f(0.0)
     turns = (number + (pairs.kinds - 1)) // pairs.kinds
@@ -76,6 +80,9 @@ def sum_pairs(
             sampler,
             centre,
             baseline,
+            plane,
+            slope,
+            known,
             number,
             start,
             most,
@@ -125,12 +132,24 @@ def sum_pairs(
         closing += mi.Vector3f(weights[:3])
         plain = mi.Point2f(-ray.d.x / ray.d.z, -ray.d.y / ray.d.z)
         weights += [flow.divergence(half, film, plain) for flow in prepared.film_flows]
+        rest = light - baseline
+        if dr.hint(plane is not None, mode="scalar"):
+            rest -= dr.dot(slope, mi.Vector2f(half.offset))
+            tilted = PairSample(half.offset, slope * half.value, mi.Float(0.0))
+            carried = divergences(
+                tilted, ray, lens, valid, curved, distance, normal, prepared.focal, view.bend
+            )
+            carried += [flow.divergence(tilted, film, plain) for flow in prepared.film_flows]
+            for k in range(len(carried)):
+                columns[k] -= mi.Color3f(carried[k])
+            for k in range(6):
+                columns[k] -= mi.Color3f(half.value * known[k])
         for k in range(len(weights)):
-            columns[k] += (light - baseline) * weights[k]
+            columns[k] += rest * weights[k]
         # With the baseline: the weights' own noise, whose mean is 1, would otherwise scale the whole image.
-        image += (light - baseline) * half.value
+        image += rest * half.value
         bounded = dr.clip(half.value, -most, most)
-        shown += bounded * mi.Vector4f(*(light - baseline), 1.0)
+        shown += bounded * mi.Vector4f(*rest, 1.0)
 
         if dr.hint(view_term is not None, mode="scalar"):
             tangent = _tangent(ray.d, angle, mirrored)
@@ -151,6 +170,9 @@ def sum_pairs(
             for k in range(6):
                 columns[k] += changes[k]
         i += 1
+    if dr.hint(plane is not None, mode="scalar"):
+        for k in range(6):
+            columns[k] += mi.Color3f(known[k])
     return columns, image + baseline, shown, closing
 
 

@@ -80,7 +80,7 @@ def _reasons(
     view: View, pixels: DepthPixels, x: Floats, y: Floats, radius: float, size: tuple[int, int]
 ) -> NDArray[np.int64]:
     """Of the pixels under a lattice of columns x and rows y, with a rim as wide as the filter's radius."""
-    seen, tangent, depth, plane = _look(view, x, y)
+    seen, tangent, depth, plane = tangent_planes(view, x, y)
     escaped, broken = ~seen, np.zeros_like(seen)
     for axis in (0, 1):
         here = [slice(None)] * 2
@@ -100,10 +100,10 @@ def _reasons(
     return found
 
 
-def _look(view: View, x: Floats, y: Floats) -> tuple[Bools, Floats, Floats, Floats]:
-    """Whether a lattice's rays hit; their s = (x/z, y/z, 1), depths, and the tangent planes, w = plane·s.
+def tangent_planes(view: View, x: Floats, y: Floats) -> tuple[Bools, Floats, Floats, Floats]:
+    """Whether rays through film points (y, x) hit; s = (x/z, y/z, 1), depths z, and planes, plane·s = 1/z.
 
-    In the camera frame.
+    Tangent to what is hit, in the camera frame.
     """
     import mitsuba as mi
 
