@@ -54,7 +54,7 @@ class PointView(Record):
     pose: Array
     """world_from_camera, (4, 4)."""
     camera: Camera
-    """Its intrinsics, known; a pinhole."""
+    """Its intrinsics, known; its lens may distort, and its aperture is a point."""
     noise: ArrayLike
     """Standard deviation [pixel], one for all points or (n,), or covariances (n, 2, 2) [pixel²]."""
     seen: NDArray[np.integer] | None = None
