@@ -14,19 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import Intrinsics
-from ..errors import CaptureError, PoseError
-from ..files import read_array, read_bytes, read_image_size, read_json, read_rows
+from ..errors import CaptureError
+from ..files import read_array, read_bytes, read_json
 from ..se3 import Array
 from .colmap import read_cameras
 from .colmap_model import model_file, model_folder
 from .colmap_points import read_points
-from .conventions import Convention
 from .images import image_folders, images_in, is_reduced, mask_of
 from .intrinsics import load_camera
-from .lens import HALF, calibrated
 from .llff import is_llff, llff_intrinsics
-from .pose_list import Poses, from_matrices, listed
+from .pose_list import Poses
 from .poses import load_poses
+from .seven_scenes import frame_file, is_seven_scenes, seven_scenes_camera
 from .transforms import frame_intrinsics, frames_of, image_path, is_transforms
 
 _CALIBRATIONS = ("camera.toml", "camera.yaml", "camera.yml", "camera.json", "camera.xml", "cameras.txt")
@@ -73,7 +72,7 @@ def found_in(place: Path, images: str | None, camera: Intrinsics | None) -> Foun
     logs = sorted(place.glob("*.log"))
     for file in ([place / "poses_bounds.npy"] if (place / "poses_bounds.npy").is_file() else []) + logs:
         return _in_file(file, images, camera)
-    return _seven_scenes(place, camera) if any(place.glob("frame-*.pose.txt")) else None
+    return _seven_scenes(place, camera) if is_seven_scenes(place) else None
 
 
 def _in_file(file: Path, images: str | None, camera: Intrinsics | None) -> Found:
@@ -219,45 +218,14 @@ def _sorted_images(file: Path, images: str | None, count: int) -> tuple[Path, li
 
 
 def _seven_scenes(place: Path, camera: Intrinsics | None) -> Found:
-    files = sorted(place.glob("frame-*.pose.txt"))
-    names = [file.name.removesuffix(".pose.txt") for file in files]
-    matrices = [read_rows(file, PoseError) for file in files]
-    wrong = [file for file, matrix in zip(files, matrices, strict=True) if matrix.shape != (4, 4)]
-    if wrong:
-        raise PoseError(f"{wrong[0]} is no 4x4 matrix")
-    rigid, notes = from_matrices(np.array(matrices), [f"{file}: the pose" for file in files])
-    custom = Convention("opencv", "world_from_camera")
-    poses = listed(place, Convention(), custom, form="7-Scenes", poses=rigid, names=names, notes=notes)
-    images, depths = ([_frame(place, name, kind) for name in names] for kind in ("color", "depth"))
-    missing = [name for name, image in zip(names, images, strict=True) if image is None]
+    poses = load_poses(place)
+    images, depths = ([frame_file(place, name, kind) for name in poses.names] for kind in ("color", "depth"))
+    missing = [name for name, image in zip(poses.names, images, strict=True) if image is None]
     if missing:
         raise CaptureError(f"{place}: {missing[0]} has no .color.png or .color.jpg")
-    photographs = [image for image in images if image is not None]
-    camera = camera or _matrix_file(place, photographs[0])
     return Found(
         poses,
-        photographs,
-        [camera] * len(names),
+        [image for image in images if image is not None],
+        [camera or seven_scenes_camera(place)] * len(poses),
         depths=None if None in depths else [depth for depth in depths if depth is not None],
-    )
-
-
-def _frame(place: Path, name: str, kind: str) -> Path | None:
-    files = [place / f"{name}.{kind}.{ending}" for ending in ("png", "jpg")]
-    return next((file for file in files if file.is_file()), None)
-
-
-def _matrix_file(place: Path, image: Path) -> Intrinsics:
-    """Of `camera-intrinsics.txt`, a 3x3 matrix that counts pixels from the first one's centre."""
-    file = place / "camera-intrinsics.txt"
-    if not file.is_file():
-        raise CaptureError(f"{place} has no camera-intrinsics.txt; give the camera's calibration")
-    matrix = read_rows(file, CaptureError)
-    if matrix.shape != (3, 3):
-        raise CaptureError(f"{file} must be a 3x3 matrix, not {matrix.shape}")
-    return calibrated(
-        str(file),
-        size=read_image_size(image, CaptureError),
-        focal=[matrix[0, 0], matrix[1, 1]],
-        centre=[matrix[0, 2] + HALF, matrix[1, 2] + HALF],
     )

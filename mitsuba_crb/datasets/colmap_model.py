@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..errors import CameraError
 from ..files.reading import Fault
 
 _PLACES = (".", "sparse/0", "sparse", "colmap/sparse/0", "0")
@@ -40,13 +39,3 @@ def model_file(folder: Path, name: str, fault: Fault) -> Path:
         raise fault(f"the COLMAP model {model} has no {name}.txt or {name}.bin; export all of its files")
     whole = [ending for ending in endings if all((model / f"{part}.{ending}").is_file() for part in _PARTS)]
     return model / f"{name}.{(whole or endings)[0]}"
-
-
-def camera_file(folder: Path) -> Path:
-    """What has the cameras of a folder: its transforms.json, or its COLMAP model.
-
-    Raises:
-        CameraError: there is neither.
-    """
-    transforms = folder / "transforms.json"
-    return transforms if transforms.is_file() else model_file(folder, "cameras", CameraError)

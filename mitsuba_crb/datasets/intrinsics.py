@@ -8,24 +8,29 @@ from __future__ import annotations
 import os
 import re
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ..camera import Intrinsics
 from ..errors import CameraError
-from ..files import read_bytes, read_json, read_text, read_toml, read_yaml
+from ..files import read_array, read_bytes, read_json, read_text, read_toml, read_yaml
 from .binary import is_binary
 from .calibrations import Cameras, calibrated_cameras, read_xml
 from .colmap import is_cameras_binary, is_cameras_text, read_cameras
-from .colmap_model import camera_file
+from .folders import capture_file
 from .inria import inria_cameras, is_inria
+from .llff import llff_cameras
 from .own_camera import own_cameras
+from .pose_list import Poses
 from .rows import first_row
-from .transforms import is_transforms, transforms_cameras
+from .seven_scenes import FORMAT, has_camera, is_seven_scenes, seven_scenes_camera
+from .transforms import is_transforms, says_focal, transforms_cameras
 
 KNOWN = (
-    "COLMAP's cameras.txt and cameras.bin, transforms.json, ROS camera_info, Kalibr's camera chain, OpenCV's "
-    "YAML, XML and JSON, INRIA's cameras.json, and our TOML with size, focal, centre, model"
+    "COLMAP's cameras.txt and cameras.bin, transforms.json, LLFF's poses_bounds.npy, ROS camera_info, "
+    "Kalibr's camera chain, OpenCV's YAML, XML and JSON, INRIA's cameras.json, and our TOML with size, "
+    "focal, centre, model"
 )
 """The formats, in words."""
 
@@ -34,7 +39,8 @@ def load_camera(path: str | os.PathLike[str], name: str | None = None) -> Intrin
     """The camera of a calibration's file.
 
     Args:
-        path: the file, in one of the formats in `KNOWN`, or the folder of a COLMAP model or transforms.json.
+        path: the file, in one of the formats in `KNOWN`, or the folder of a COLMAP model, transforms.json,
+            LLFF or 7-Scenes.
         name: which camera, of a file with several different ones: what COLMAP or Kalibr call it, or the
             name of an image that has its own.
 
@@ -43,7 +49,7 @@ def load_camera(path: str | os.PathLike[str], name: str | None = None) -> Intrin
             image's size is missing, or the name is missing or unknown.
     """
     file = Path(path)
-    found = _cameras(camera_file(file) if file.is_dir() else file)
+    found = _cameras(capture_file(file, "cameras", CameraError))
     if name is not None:
         if name not in found:
             raise CameraError(f"{file} has no camera {name!r}; {_listed(found, name)}")
@@ -54,8 +60,48 @@ def load_camera(path: str | os.PathLike[str], name: str | None = None) -> Intrin
     return cameras.pop()
 
 
+def cameras_of_poses(path: str | os.PathLike[str], poses: Poses) -> list[Intrinsics]:
+    """The camera of each pose of a file that has both; none if the file has poses alone.
+
+    Args:
+        path: what the poses were loaded from.
+        poses: those of the file, in its order.
+
+    Raises:
+        CameraError: a camera is missing, or cannot be used.
+    """
+    file = _beside(capture_file(Path(path), "images", CameraError), poses.format)
+    if file is None:
+        return []
+    found = _cameras(file)
+    if "" in found:
+        return [found[""]()] * len(poses)
+    keys = poses.cameras or poses.names
+    missing = next((key for key in keys if key not in found), None)
+    if missing is not None:
+        raise CameraError(f"{file} lacks the camera {missing} of a pose; {_listed(found, missing)}")
+    made = {key: found[key]() for key in dict.fromkeys(keys)}
+    return [made[key] for key in keys]
+
+
+def _beside(file: Path, form: str) -> Path | None:
+    """What has the cameras of a file of poses in some format; None if there are none."""
+    if form == "COLMAP":
+        names = [f"cameras{ending}" for ending in (file.suffix, ".bin", ".txt")]
+        return next((file.with_name(name) for name in names if file.with_name(name).is_file()), None)
+    if form == FORMAT:
+        return file if has_camera(file) else None
+    if form == "transforms.json":
+        return file if says_focal(read_json(file, CameraError)) else None
+    return file if form in ("LLFF", "INRIA's cameras.json") else None
+
+
 def _cameras(file: Path) -> Cameras:
+    if is_seven_scenes(file):
+        return {"": partial(seven_scenes_camera, file)}
     data = read_bytes(file, CameraError)
+    if data.startswith(b"\x93NUMPY"):
+        return llff_cameras(read_array(file, CameraError), file)
     if is_binary(data):
         if not is_cameras_binary(data):
             raise CameraError(f"{file} is no file of a camera that is known here; known: {KNOWN}")

@@ -7,6 +7,7 @@ focal length [pixel] of the original image. Rows are in the sorted order of the 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,10 @@ from numpy.typing import NDArray
 
 from ..camera import Intrinsics
 from ..errors import CameraError, PoseError
+from .calibrations import Cameras
 from .conventions import Convention
 from .entries import whole
+from .images import images_beside
 from .lens import calibrated
 from .pose_list import Poses, from_matrices
 
@@ -47,16 +50,30 @@ def llff_poses(array: NDArray[Any], path: Path, given: Convention, names: Sequen
     return Poses(poses, known, "LLFF", _WORDS, notes=notes)
 
 
+def llff_cameras(array: NDArray[Any], path: Path) -> Cameras:
+    """The cameras, by the images' names if they are known.
+
+    Raises:
+        CameraError: the array is none of LLFF's, or the numbers make no camera.
+    """
+    if not is_llff(array):
+        raise CameraError(f"{path} has the shape {array.shape}; an array of cameras is LLFF's, of (n, 17)")
+    names = images_beside(path, len(array)) or [str(k) for k in range(len(array))]
+    return {name: partial(_camera, array, path, k) for k, name in enumerate(names)}
+
+
 def llff_intrinsics(array: NDArray[Any], path: Path) -> list[Intrinsics]:
     """Of the original images, one a row: a pinhole whose axis is in the middle.
 
     Raises:
         CameraError: the numbers make no camera.
     """
-    cameras = []
-    for k, (height, width, focal) in enumerate(array[:, :15].reshape(-1, 3, 5)[:, :, 4].tolist()):
-        where = f"{path}: camera {k + 1}"
-        size = [whole(side, f"{where}: the size", CameraError) for side in (width, height)]
-        centre = [0.5 * side for side in size]
-        cameras.append(calibrated(where, size=size, focal=[focal, focal], centre=centre))
-    return cameras
+    return [_camera(array, path, k) for k in range(len(array))]
+
+
+def _camera(array: NDArray[Any], path: Path, k: int) -> Intrinsics:
+    height, width, focal = array[k, :15].reshape(3, 5)[:, 4].tolist()
+    where = f"{path}: camera {k + 1}"
+    size = [whole(side, f"{where}: the size", CameraError) for side in (width, height)]
+    centre = [0.5 * side for side in size]
+    return calibrated(where, size=size, focal=[focal, focal], centre=centre)

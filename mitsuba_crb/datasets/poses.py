@@ -18,13 +18,14 @@ from ..files import read_array, read_bytes, read_json, read_text
 from .binary import is_binary
 from .colmap import is_cameras_binary, is_cameras_text
 from .colmap_images import colmap_poses, is_images_binary, is_images_text
-from .colmap_model import model_file
 from .conventions import Convention, parse_convention
+from .folders import capture_file
 from .images import images_beside
 from .inria import inria_poses, is_inria
 from .llff import is_llff, llff_poses
 from .pose_list import Poses, from_matrices, listed
 from .rows import first_row
+from .seven_scenes import is_seven_scenes, seven_scenes_poses
 from .trajectories import KNOWN, trajectory
 from .transform_poses import transforms_poses
 from .transforms import is_transforms
@@ -42,8 +43,8 @@ def load_poses(
     """The poses in a file, as world_from_camera in our axes.
 
     Args:
-        path: the file, in a format of `trajectories.KNOWN`, or the folder of a COLMAP model or a
-            transforms.json.
+        path: the file, in a format of `trajectories.KNOWN`, or the folder of a COLMAP model, a
+            transforms.json, LLFF's poses_bounds.npy, or 7-Scenes.
         convention: what the file does not say, in words: the camera's axes (mitsuba, opencv, opengl), what
             the poses map (world_from_camera, camera_from_world) and a quaternion's order (xyzw, wxyz).
         dataparser: nerfstudio's `dataparser_transforms.json`, for poses of a transforms.json in the trained
@@ -55,13 +56,15 @@ def load_poses(
         PoseError: the file is of none of these formats or is damaged, a pose is no rigid motion, or the
             convention contradicts the file.
     """
-    file = _file(Path(path))
+    file = capture_file(Path(path), "images", PoseError)
     given = parse_convention(convention, body_from_camera)
     if dataparser is not None:
         document = read_json(file, PoseError)
         if not is_transforms(document):
             raise PoseError(f"{file} is no transforms.json; leave {dataparser} out")
         return transforms_poses(document, file, given, Path(dataparser))
+    if is_seven_scenes(file):
+        return seven_scenes_poses(file, given)
     data = read_bytes(file, PoseError)
     if data.startswith(b"\x93NUMPY"):
         return _of_array(read_array(file, PoseError), file, given)
@@ -82,16 +85,6 @@ def load_poses(
     if is_images_text(line) or re.search(r"^#.*\bIMAGE_ID\b.*\bQW\b", text, re.MULTILINE):
         return colmap_poses(file, given)
     return trajectory(file, given)
-
-
-def _file(path: Path) -> Path:
-    """The file itself, or the one that has the poses in a folder."""
-    if not path.is_dir():
-        return path
-    for name in ("transforms.json", "transforms_train.json"):
-        if (path / name).is_file():
-            return path / name
-    return model_file(path, "images", PoseError)
 
 
 def _of_document(document: Any, file: Path, given: Convention) -> Poses:

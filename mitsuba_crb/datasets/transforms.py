@@ -53,12 +53,17 @@ def frames_of(document: Mapping[str, Any], path: Path, fault: type[Exception]) -
     return [table(frame, f"{path}: frame {k + 1}", fault) for k, frame in enumerate(frames)]
 
 
+def says_focal(document: Mapping[str, Any]) -> bool:
+    """Whether the document has intrinsics, for all frames or in any."""
+    return any(key in where for where in (document, *document.get("frames", [])) for key in _FOCAL)
+
+
 def transforms_cameras(document: Mapping[str, Any], path: Path) -> Cameras:
     """The cameras in the document: by frame if frames have their own, else one."""
     frames = frames_of(document, path, CameraError)
     if any(key in frame for frame in frames for key in _INTRINSICS):
         return {
-            str(frame.get("file_path", k + 1)): partial(frame_intrinsics, document, frame, path)
+            str(frame.get("file_path", k)): partial(frame_intrinsics, document, frame, path)
             for k, frame in enumerate(frames)
         }
     return {"": partial(frame_intrinsics, document, frames[0] if frames else {}, path)}

@@ -13,8 +13,9 @@ from camera_files import distorted, written
 from PIL import Image
 from pose_files import DOWN, FILES, some_poses
 
-from mitsuba_crb import Capture, Intrinsics, load_capture
-from mitsuba_crb.errors import CaptureError, MitsubaCRBError, PoseError
+from mitsuba_crb import Capture, Intrinsics, load_camera, load_capture, load_poses
+from mitsuba_crb.datasets.intrinsics import cameras_of_poses
+from mitsuba_crb.errors import CameraError, CaptureError, MitsubaCRBError, PoseError
 
 COUNT = 10
 POSES = some_poses(COUNT)
@@ -109,6 +110,56 @@ def test_the_same_capture_is_the_same_in_every_format(form: str, tmp_path: Path)
     assert (capture.test, capture.train) == ((0, 8), (1, 2, 3, 4, 5, 6, 7, 9))
     assert "every 8th" in capture.split
     assert "every 8th" in str(capture)
+
+
+class TestCamerasOfPoses:
+    @pytest.mark.parametrize("form", [form for form in MADE if form != "Tanks and Temples"])
+    def test_one_folder_has_both(self, form: str, tmp_path: Path) -> None:
+        folder = MADE[form](tmp_path / "capture")
+        poses = load_poses(folder)
+        (camera,) = set(cameras_of_poses(folder, poses))
+        assert camera == load_camera(folder)
+        assert camera.scaled(SIZE) == CAMERA  # LLFF's is of the original images
+        np.testing.assert_allclose(poses.poses, POSES, rtol=0, atol=1e-14)
+
+    def test_each_pose_has_its_own(self, tmp_path: Path) -> None:
+        folder = colmap(tmp_path / "capture")
+        model = folder / "sparse" / "0"
+        written(model, "2 PINHOLE 64 48 60 60 32 24\n1 PINHOLE 64 48 50 50 32 24\n", "cameras.txt")
+        rows = (model / "images.txt").read_text().splitlines()
+        rows = [row.replace(" 1 a_3.jpg", " 2 a_3.jpg") for row in rows]
+        (model / "images.txt").write_text("\n".join(rows))
+        for path in (folder, model, model / "images.txt"):
+            found = cameras_of_poses(path, load_poses(path))
+            assert [camera.focal[0] for camera in found] == [60.0 if k == 3 else 50.0 for k in range(COUNT)]
+        with pytest.raises(CameraError, match="several different cameras"):
+            load_camera(folder)
+        written(model, "1 PINHOLE 64 48 50 50 32 24\n", "cameras.txt")
+        with pytest.raises(CameraError, match=r"lacks the camera 2 of a pose; it has '1'"):
+            cameras_of_poses(folder, load_poses(folder))
+        (model / "cameras.txt").unlink()
+        assert cameras_of_poses(model / "images.txt", load_poses(model / "images.txt")) == []
+
+    def test_frames_of_transforms_and_rows_of_llff(self, tmp_path: Path) -> None:
+        folder = transforms(tmp_path / "one")
+        document = json.loads((folder / "transforms.json").read_text())
+        document["frames"][2]["fl_x"] = 70.0
+        (folder / "transforms.json").write_text(json.dumps(document))
+        array = np.load(llff(tmp_path / "other") / "poses_bounds.npy")
+        array[2, 14] *= 1.4
+        np.save(tmp_path / "other" / "poses_bounds.npy", array)
+        for path in (folder, tmp_path / "other"):
+            found = [camera.scaled(SIZE).focal[0] for camera in cameras_of_poses(path, load_poses(path))]
+            assert found == pytest.approx([70.0 if k == 2 else 50.0 for k in range(COUNT)])
+
+    def test_poses_alone_have_none(self, tmp_path: Path) -> None:
+        folder = transforms(tmp_path / "capture")
+        document = json.loads((folder / "transforms.json").read_text())
+        del document["fl_x"]
+        (folder / "transforms.json").write_text(json.dumps(document))
+        assert cameras_of_poses(folder, load_poses(folder)) == []
+        tum = written(tmp_path, FILES["TUM"](POSES), "path.txt")
+        assert cameras_of_poses(tum, load_poses(tum)) == []
 
 
 @pytest.mark.parametrize("form", MADE)
