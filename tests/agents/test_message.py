@@ -251,6 +251,7 @@ class TestNoise:
 
     @pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")
     @pytest.mark.parametrize("precision", ["float16", "float32"])
+    @pytest.mark.slow
     def test_a_receiver_does_not_take_unseen_directions_for_seen_ones(self, precision):
         """Four agents that do not see two directions; without the noise bound many would claim to."""
         rng = np.random.default_rng(13)

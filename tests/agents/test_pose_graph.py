@@ -219,6 +219,7 @@ class TestNoise:
         return poses, [RelativePose("a", "b", 1e3 * definite(rng))]
 
     @pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")
+    @pytest.mark.slow
     def test_the_common_null_direction_of_noisy_cameras_stays_unseen(self):
         """40 seeds; taken as exact (negative control) many of the same matrices are of full rank."""
         rng = np.random.default_rng(12)

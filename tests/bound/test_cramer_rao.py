@@ -565,7 +565,7 @@ class TestPrior:
         assert partial.rank == 2
         np.testing.assert_allclose(partial.position_std, [1.0, 0.5, np.inf])
 
-    @pytest.mark.parametrize("noise", [0.1, 0.8])
+    @pytest.mark.parametrize("noise", [0.1, pytest.param(0.8, marks=pytest.mark.slow)])
     def test_it_never_makes_anything_worse(self, noise):
         """Random informations of every rank with noise, random priors of every rank and strength."""
         rng = np.random.default_rng(26)

@@ -34,6 +34,7 @@ def _judged(
     return renderer_part(errors, stated, inverse * E @ inverse.T, confidence=confidence)
 
 
+@pytest.mark.slow
 def test_a_right_bound_is_called_inconsistent_no_more_often_than_stated() -> None:
     rng = np.random.default_rng(1)
     found = [_judged(rng, 60, (0.1, 0.05, 0.03, 0.02, 0.01, 0.0)) for _ in range(300)]

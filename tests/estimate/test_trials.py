@@ -207,6 +207,7 @@ def test_the_bound_is_that_of_the_pixels_that_the_estimator_has(levels: int) -> 
     assert whole.nees / (1.0 + found.excess) > high
 
 
+@pytest.mark.slow
 def test_pixels_that_are_not_finite_belong_neither_to_trials_nor_to_the_bound() -> None:
     options = OPTIONS | {"size": (24, 18), "trials": 24, "confidence": 0.999}
     with pytest.raises(RadianceError, match="drop_invalid"):

@@ -32,6 +32,7 @@ def _measured(rng: np.random.Generator, noise: np.ndarray, vectors: np.ndarray) 
     return kept.variance(vectors, np.full(len(vectors), 0.5))
 
 
+@pytest.mark.slow
 def test_parts_are_the_variances_of_repetitions() -> None:
     """With values = 1/2 a part is Var[bᵀ F̂_u b]; both of its components are unbiased, each by its own."""
     noise = np.linspace(0.2, 3.0, 16)

@@ -629,6 +629,7 @@ class TestDifference:
         a, b = (_jacobian(sim, sim.draw(), block=block) for block in blocks)
         assert (a - b).block == expected
 
+    @pytest.mark.slow
     def test_its_covariance_of_entries_is_that_of_repetitions(self):
         """Of 100 runs, to a median within 25 %; with the blocks of the other side it hides what is shared."""
         sim, other = Simulation(48, 64, noise=0.5, common=0.6), Simulation(48, 64, noise=0.5, seed=5)

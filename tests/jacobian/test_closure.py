@@ -269,6 +269,7 @@ def test_a_bias_in_common_enters_the_covariance_with_its_square(coupled: bool) -
 
 
 @pytest.mark.parametrize("nuisances", [[], ["gain"]])
+@pytest.mark.slow
 def test_noise_that_hardly_couples_pixels_says_of_differences_what_independent_noise_does(
     nuisances: list[str],
 ) -> None:

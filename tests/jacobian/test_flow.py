@@ -241,7 +241,9 @@ def test_few_paths_per_batch_stay_unbiased(name: str, per_batch: int) -> None:
 # The image
 
 
-@pytest.mark.parametrize("name", ["gaussian", "mitchell", "tent"])
+@pytest.mark.parametrize(
+    "name", ["gaussian", *(pytest.param(n, marks=pytest.mark.slow) for n in ("mitchell", "tent"))]
+)
 def test_the_image_is_as_clean_as_a_plain_render(name: str) -> None:
     """Beside a lamp too, where the coarse pilot is far off and the batches' own images have specks."""
     with open_view(lamp_before_a_wall(name)) as view:

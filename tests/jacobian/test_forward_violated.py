@@ -31,6 +31,7 @@ def _ratios(bound: PoseBound, other: PoseBound) -> Any:
     return np.linalg.eigvalsh(root @ bound.information.matrix @ root.T)
 
 
+@pytest.mark.slow
 def test_without_silhouettes_forward_is_right_about_the_faint_texture() -> None:
     wall = faint_boxes(solids=False)
     # Both have standard errors of about 1 %; with the solids the ratios are below 0.4.

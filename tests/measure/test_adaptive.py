@@ -152,7 +152,7 @@ def test_a_scene_that_no_number_of_paths_resolves_ends_with_limits() -> None:
         {"nuisances": ("gain:16",)},
         pytest.param({"noise": PoissonGaussian(gain=1e-4, read_noise=0.01)}, marks=pytest.mark.slow),
         {"noise": Stationary(1e-4 * np.outer([0.3, 1.0, 0.3], [0.3, 1.0, 0.3]))},
-        {"method": "finite_difference"},
+        pytest.param({"method": "finite_difference"}, marks=pytest.mark.slow),
         {"batches": 8},
         {"prior": np.diag([1e6] * 6)},
         {"noise": None},

@@ -92,6 +92,7 @@ class TestWarehouse:
         assert np.isfinite(result.fusion.bound.rotation_std_deg).all()
         assert sum(share.share for share in result.fusion.agents) == pytest.approx(1.0)
 
+    @pytest.mark.slow
     def test_the_hidden_directions_are_the_derived_ones(self) -> None:
         """In the world: translations along z, x and y, and the roll about x through the duct's centre.
 
@@ -291,6 +292,7 @@ def _dies(job: Any) -> None:
 
 
 class TestSelect:
+    @pytest.mark.slow
     def test_the_commands_write_what_the_library_finds(self, tmp_path: Path, capsys: Any) -> None:
         path = written(tmp_path, "[tiles]\nsize = [8, 12]\n", each="budget = 4\n")
         files = {name: tmp_path / f"{name}.json" for name in ("fuse", "select")}
@@ -366,6 +368,7 @@ def _exposures(folder: Path, text: str = "", *, noise: str = "") -> list[float |
     return [bound.provenance["noise"].get("white") for bound in found.bounds]
 
 
+@pytest.mark.slow
 def test_all_views_of_a_team_have_one_exposure_unless_it_says_otherwise(tmp_path: Path) -> None:
     one, other = _exposures(tmp_path, 'exposure = "auto"\n')
     assert one is not None
