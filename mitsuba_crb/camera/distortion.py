@@ -25,6 +25,8 @@ _LEAST = 0.01
 """Least motion on the film per angle, over that on the axis: below, a lens as good as folds."""
 _STEPS, _ANGLES = 2048, 64
 """Of the grid on which a model is checked."""
+_INVERTED = 1e-6
+"""How closely film points must come back from their directions [pixel]."""
 _NODES = 1024
 """Of the table that Newton's method starts from."""
 
@@ -87,7 +89,19 @@ class Distortion:
         ratio = np.interp(nodes, rho[: last + 1].mean(axis=1), lens.start_of(np, model, r[: last + 1, 0]))
         ratio[1:] /= nodes[1:]
         ratio[0] = 1.0
-        return Distortion(model, k, float(r[last, 0]), float(nodes[-1]), ratio)
+        found = Distortion(model, k, float(r[last, 0]), float(nodes[-1]), ratio)
+        across, down = (np.linspace(-margin, side + margin, 33) for side in size)
+        film = np.stack([axis.ravel() for axis in np.meshgrid(across, down)], axis=1)
+        v = (film - centre) / focal
+        missed = np.abs(found.distorted(found.undistorted(v)) - v).max(axis=1) * pixels
+        if not missed.max() < _INVERTED:
+            x, y = film[np.nanargmax(missed)]
+            raise CameraError(
+                f"lens model {model} with {intrinsics.words} cannot be inverted near film point ({x:.4g}, "
+                f"{y:.4g}): it all but folds the image over there; fit the calibration to the whole image, "
+                "or crop the image"
+            )
+        return found
 
     def distorted(self, u: Array) -> Array:
         """D(u) of (..., 2)."""

@@ -16,11 +16,14 @@ SIZE, FOCAL, CENTRE = (640, 480), (420.0, 410.0), (310.0, 250.0)
 BARREL = (-0.3, 0.08, 1e-3, -7e-4, 0.0, 0.0, 0.0, 0.0)
 PINCUSHION = (0.3, -0.02, -2e-3, 1e-3, 0.0, 0.0, 0.0, 0.0)
 RATIONAL = (0.4, 0.1, 1e-3, 5e-4, 0.01, 0.7, 0.2, 0.03)
+SKEW = (-0.25, 0.08, 0.03, -0.02, 0.01, 0.1, 0.0, 0.0)
+"""Tangential coefficients of lenses are below 0.01."""
 FISHEYE = (-0.02, 0.01, -0.004, 0.0005)
 LENSES = {
     "barrel": ("opencv", BARREL, 330.0),
     "pincushion": ("opencv", PINCUSHION, 420.0),
     "rational": ("opencv", RATIONAL, 330.0),
+    "skew": ("opencv", SKEW, 450.0),
     "fisheye": ("fisheye", FISHEYE, 330.0),
     "equidistant": ("fisheye", (0.0,) * 4, 310.0),
 }
@@ -128,13 +131,15 @@ def test_coefficients_move_the_film_as_differences_say(name: str) -> None:
 @every_lens
 def test_a_lens_goes_on_beyond_the_image_and_nothing_lands_there_twice(name: str) -> None:
     """Along every ray from the axis the film point moves outwards, up to points beside the camera."""
-    found = distortion_of(name)
+    found, camera = distortion_of(name), calibration(name)
+    corners = np.array([[x, y] for x in (-2.0, SIZE[0] + 2.0) for y in (-2.0, SIZE[1] + 2.0)])
+    farthest = np.linalg.norm((corners - CENTRE) / camera.focal, axis=1).max()
     r = np.concatenate([np.linspace(0.0, found.limit, 200), found.limit * np.geomspace(1.01, 1e4, 200)])
     for angle in np.linspace(0.0, 6.0, 7):
         u = r[:, None] * [np.cos(angle), np.sin(angle)]
         landed = found.distorted(u)
         assert (np.diff(np.linalg.norm(landed, axis=1)) > 0.0).all()
-        assert np.linalg.norm(landed[r > 1.1 * found.limit], axis=1).min() > found.reach
+        assert np.linalg.norm(landed[r > found.limit], axis=1).min() > farthest
 
 
 @every_lens
@@ -175,6 +180,12 @@ class TestRefusals:
             Camera.of(folding)
         cropped = dataclasses.replace(folding, size=(200, 200), centre=(100.0, 100.0))
         assert Camera.of(cropped).distortion is not None
+
+    def test_a_model_that_newton_s_method_does_not_invert(self) -> None:
+        k = (-0.41, 0.29, 0.06, 0.058, 0.02, 0.44, 0.08, -0.2)
+        skewed = Intrinsics(SIZE, (286.0, 286.0), CENTRE, "opencv", k)
+        with pytest.raises(CameraError, match=r"cannot be inverted near film point \(.*crop the image"):
+            Camera.of(skewed)
 
     def test_a_fisheye_that_looks_aside(self) -> None:
         wide = Intrinsics((400, 400), (150.0, 150.0), (200.0, 200.0), "fisheye", (0.0,) * 4)

@@ -46,9 +46,10 @@ def own_intrinsics(width: int = 32, height: int = 24, fov: float = 45.0) -> Intr
         ("pinhole", (), (500.0, 480.0)),
         ("opencv", BARREL, (500.0, 480.0)),
         ("opencv", PINCUSHION, (500.0, 480.0)),
+        ("opencv", (-0.25, 0.08, 0.03, -0.02, 0.01, 0.1, 0.0, 0.0), (450.0, 440.0)),
         ("fisheye", (-0.02, 0.01, -0.004, 5e-4), (320.0, 310.0)),
     ],
-    ids=["pinhole", "barrel", "pincushion", "fisheye"],
+    ids=["pinhole", "barrel", "pincushion", "skew", "fisheye"],
 )
 @pytest.mark.parametrize("fov", [5.0, 90.0])
 def test_rays_land_where_they_come_from(
