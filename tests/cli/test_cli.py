@@ -231,6 +231,11 @@ def test_options_reach_the_library(rendered, capsys, tmp_path):
         "exposure": None,
         "camera": None,
         "clip": True,
+        "channels": None,
+        "measure": "colour",
+        "depth_sigma": None,
+        "depth_range": None,
+        "depth_edges": False,
         "nuisances": ["gain", "fov"],
     }
     assert rendered.defines == {"a": "1", "b": "x=y"}

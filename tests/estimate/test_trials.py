@@ -180,12 +180,15 @@ def test_other_versions_are_named_and_not_resumed(tmp_path: Path, monkeypatch: p
 
 
 def test_every_option_that_changes_a_result_is_among_the_settings(tmp_path: Path) -> None:
-    """`tile` bounds memory only; `exposure` acts by sigma, a precision by `spp`, and trials never clip."""
+    """`tile` bounds memory only; `exposure` acts by sigma, a precision by `spp`; trials never clip, and are
+    of colour; a calibration is there if one is given."""
     found = validate(textured_wall(), **(OPTIONS | {"spp": 16, "trials": 7}))
     options = set(measure.MeasurementOptions.__annotations__)
     assert options - found.settings.keys() == {
         *("tile", "on_tile", "on_progress", "on_round"),
         *("exposure", "clip", "precision", "max_spp"),
+        "camera",
+        *("channels", "measure", "depth_sigma", "depth_range", "depth_edges"),
     }
     arguments = inspect.signature(validate).parameters.keys() - found.settings.keys()
     judging = {"trials", "assumed_sigma", "confidence", "workers", "resume", "on_trial", "options"}
