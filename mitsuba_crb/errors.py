@@ -132,7 +132,7 @@ class TrialError(MitsubaCRBError):
 
 
 class SceneWarning(UserWarning):
-    """Something of a scene was left out or replaced that does not keep it from being measured."""
+    """Something of a scene was left out or replaced, or nothing of it is lit: it is measured nevertheless."""
 
 
 class BlindSpotWarning(UserWarning):

@@ -22,7 +22,7 @@ import numpy as np
 from .. import se3
 from ..bound.cramer_rao import PoseBound
 from ..bound.prior import load_prior
-from ..errors import MitsubaCRBError, NoiseError, OptionError, PoseError
+from ..errors import MitsubaCRBError, NoiseError, OptionError, PoseError, SceneWarning
 from ..files import jsonable
 from ..noise import NoiseModel
 from ..render.fingerprint import fingerprint, mask_fingerprint
@@ -93,6 +93,9 @@ def pose_bounds(
     Raises:
         PoseError: there are no poses, or one is no rigid motion; says which.
         MitsubaCRBError: as `pose_bound`, the pose named.
+
+    Warns:
+        SceneWarning: all images are black, and why.
     """
     named = _checked(poses, None)
     _without_pose(options)
@@ -273,8 +276,11 @@ def _white(
     given = MeasurementOptions(**there)
     with open_measurable(loaded, given) as view:
         parts = [start_metering(view.at(pose), given.seed, side)().reshape(2, -1) for pose in poses]
-    # In an order that is not that of the poses, for sums of floats depend on it.
-    found = exposed(*np.concatenate(sorted(parts, key=lambda part: part.tobytes()), axis=1))
+        # In an order that is not that of the poses, for sums of floats depend on it.
+        found = exposed(*np.concatenate(sorted(parts, key=lambda part: part.tobytes()), axis=1))
+        if found is None:
+            why = view.nothing_visible(black=True)
+            warnings.warn(f"every image is black; of the first, {why}", SceneWarning, stacklevel=3)
     return _BLACK if found is None else found.white
 
 

@@ -15,7 +15,7 @@ from small_scenes import T, camera, scene, texture, wall
 from mitsuba_crb import pose_bound, pose_bounds, se3
 from mitsuba_crb.bound.cramer_rao import PoseBound
 from mitsuba_crb.camera import Intrinsics
-from mitsuba_crb.errors import NoiseError, OptionError, PoseError, PrecisionError
+from mitsuba_crb.errors import NoiseError, OptionError, PoseError, PrecisionError, SceneWarning
 from mitsuba_crb.measure.pose_table import PoseRow, PoseTable
 from mitsuba_crb.measure.poses import pose_table
 from mitsuba_crb.noise import Gaussian
@@ -102,7 +102,13 @@ def test_where_nothing_is_seen_the_rank_is_zero_and_it_is_no_error(exposure: Any
         assert np.isinf(row.position_std).all()
         assert "seen" not in row.verdicts
         assert np.isinf(row.ellipsoid).all()
-    assert pose_table(WORLD, [INSIDE], exposure=exposure, **FEW).rows[0].rank == 0
+
+
+def test_where_all_is_black_it_says_why() -> None:
+    with pytest.warns(SceneWarning, match="every image is black; of the first, no light reaches"):
+        table = pose_table(WORLD, [INSIDE], **FEW)
+    assert table.rows[0].rank == 0
+    assert pose_table(WORLD, [INSIDE], exposure="auto", **FEW).rows[0].rank == 0
 
 
 def test_what_is_no_pose_is_named_by_its_place() -> None:
