@@ -37,9 +37,11 @@ class ColmapImage(NamedTuple):
 
 
 def is_images_text(line: str) -> bool:
-    """Whether a text whose first row this is lists COLMAP's images."""
-    words = line.split(maxsplit=9)
-    return len(words) == 10 and are_numbers(words[:9]) and words[0].isdigit() and words[8].isdigit()
+    """Whether a text whose first row this is lists COLMAP's images, and not KITTI's whole numbers."""
+    words = line.split()
+    if len(words) < 10 or (len(words) > 10 and are_numbers(words)):
+        return False
+    return are_numbers(words[:9]) and words[0].isdigit() and words[8].isdigit()
 
 
 def is_images_binary(data: bytes) -> bool:

@@ -439,3 +439,12 @@ class TestFilesByOthers:
         path = captures / "7scenes_redkitchen_40" / "frame-000025.pose.txt"
         read = load_poses(path, "opencv")
         assert read.poses[0, :3, 3] == pytest.approx([-0.370651960, 0.0042487988, 0.3094472])
+
+
+def test_whole_numbers_of_kitti_are_no_image_of_colmap(tmp_path: Path) -> None:
+    """Whose name, behind a number, a quaternion, a place and a camera's number, may have blanks."""
+    path = tmp_path / "poses.txt"
+    path.write_text("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 3 0 1 0 0 0 0 1 0\n")
+    read = load_poses(path)
+    assert read.format == "KITTI"
+    np.testing.assert_array_equal(read.poses[:, :3, 3], [[0, 0, 0], [3, 0, 0]])
