@@ -52,9 +52,9 @@ def bound_poses(
         parquet_library()
     read = load_poses(poses, convention)
     record = PoseFiles(json_file, csv_file)
-    with measuring() as (bar, _):  # every row has its own warnings
+    with measuring() as (bar, notes):  # of the scene; every row has its own
         table = pose_table(scene, read.poses, names=read.names, record=record, on_pose=bar, **options)
-    with answered(lambda to: print_poses(to, table, f"{poses}: {read}")):
+    with answered(lambda to: print_poses(to, table, f"{poses}: {read}", notes)):
         if parquet_file is not None:
             write_parquet(parquet_file, table)
         if plot_file is not None:

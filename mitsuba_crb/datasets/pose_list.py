@@ -41,7 +41,8 @@ class Poses(Record):
         return len(self.poses)
 
     def __str__(self) -> str:
-        head = f"{len(self)} poses of {self.format}, {self.names[0]} to {self.names[-1]}"
+        some = "1 pose" if len(self) == 1 else f"{len(self)} poses"
+        head = f"{some} of {self.format}, {self.names[0]} to {self.names[-1]}"
         return "\n".join([head, self.convention, *self.notes])
 
 

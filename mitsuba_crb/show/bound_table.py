@@ -42,7 +42,7 @@ def print_bound(console: Console, bound: PoseBound) -> None:
     print_line(
         console,
         Text(Path(str(facts["scene"])).name, style="bold"),
-        f"  {width}×{height} pixels  {across:.1f}°×{down:.1f}° field of view{_lens(facts)}",
+        f"  {width}×{height} pixels  {across:.1f}°×{down:.1f}° field of view{lens(facts)}",
     )
     for text in facts.get("no_bound", ()):
         print_line(console, Text("no bound: ", style="bold red"), text)
@@ -66,9 +66,9 @@ def print_bound(console: Console, bound: PoseBound) -> None:
     print_notes(console, [text for text in facts.get("warnings", ()) if text not in above])
 
 
-def _lens(facts: dict[str, Any]) -> str:
-    """The lens model of a calibration, if it has one."""
-    model = facts.get("camera", {}).get("model", "pinhole")
+def lens(facts: dict[str, Any]) -> str:
+    """The lens model of a calibration, if it has one, behind two blanks."""
+    model = (facts.get("camera") or {}).get("model", "pinhole")
     return "" if model == "pinhole" else f"  {model} lens"
 
 

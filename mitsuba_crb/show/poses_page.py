@@ -85,7 +85,7 @@ def poses_figure(table: PoseTable, *, sigma: float = _SIGMA) -> Figure:
         shades = "shaded: not finite, darker at rank 0"
         top.set_title(shades, loc="right", fontsize=9, color=MUTED)
     _legend(figure.axes[0], rows)
-    scene = Path(str(table.settings.get("scene", ""))).stem
+    scene = Path(str(table.settings.get("scene", ""))).name
     lost = f"   ·   {len(table.lost)} not of rank 6" if table.lost else "   ·   all of rank 6"
     figure.suptitle(f"{scene}   ·   {len(rows)} poses{lost}", x=0.01, ha="left", fontsize=14, weight="bold")
     return figure

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from ..measure.exposure import RELATIVE_SIGMA
 from ..measure.options import PRECISION
 from ..measure.pose_table import ranks
 from ..measure.sensing import COLOUR, DEPTH
+from .bound_table import lens
 from .terminal import new_table, print_facts, print_line, print_notes
 
 if TYPE_CHECKING:
@@ -33,20 +35,23 @@ _IN_ROWS = ("not resolved", "the bound on ", _RARE)
 """How the notes begin that the rows' numbers and the facts say as well."""
 
 
-def print_poses(console: Console, table: PoseTable, source: str = "") -> None:
+def print_poses(
+    console: Console, table: PoseTable, source: str = "", scene_notes: Sequence[str] = ()
+) -> None:
     """A row for every pose, then how they differ and what they rest on.
 
     Args:
         console: where to.
         table: of at least one row.
         source: lines on where the poses come from and in which convention, above it all.
+        scene_notes: what was warned of before the first pose.
     """
     for line in source.splitlines():
         print_line(console, line)
-    size = table.settings.get("size")
+    size = table.settings.get("size") or (table.settings.get("camera") or {}).get("size")
     scene = Text(str(table.settings.get("scene", "")).rpartition("/")[2], style="bold")
     pixels = "" if size is None else f"  {size[0]}×{size[1]} pixels"
-    print_line(console, scene, pixels, f"  {table.asked} poses")
+    print_line(console, scene, pixels, lens(table.settings), f"  {_poses(table.asked)}")
     for text, n in Counter(text for row in table.rows for text in row.no_bound).items():
         print_line(console, Text("no bound: ", style="bold red"), f"{text}{_times(n, len(table.rows))}")
     if table.interrupted:
@@ -62,6 +67,7 @@ def print_poses(console: Console, table: PoseTable, source: str = "") -> None:
     _print_rows(console, table.rows)
     print_facts(console, _facts(table))
     notes = Counter(note for row in table.rows for note in row.notes if not note.startswith(_IN_ROWS))
+    print_notes(console, scene_notes)
     print_notes(console, [f"{note}{_times(n, len(table.rows))}" for note, n in notes.most_common()])
 
 
@@ -207,7 +213,11 @@ def _paths(settings: dict[str, Any]) -> str:
 
 def _listed(names: list[str]) -> str:
     more = ", …" if len(names) > _NAMED else ""
-    return f"{len(names)} pose{'s' * (len(names) > 1)} ({', '.join(names[:_NAMED])}{more})"
+    return f"{_poses(len(names))} ({', '.join(names[:_NAMED])}{more})"
+
+
+def _poses(n: int) -> str:
+    return f"{n} pose{'s' * (n != 1)}"
 
 
 def _times(n: int, of: int) -> str:

@@ -52,6 +52,15 @@ def test_a_size_scales_it(calibration: Any, tmp_path: Path, capsys: Any) -> None
     capsys.readouterr()
 
 
+def test_many_poses_name_the_lens(calibration: Any, tmp_path: Path, capsys: Any) -> None:
+    np.save(tmp_path / "path.npy", np.eye(4)[None])
+    many = ["--poses", str(tmp_path / "path.npy"), "--spp", "16"]
+    assert cli.run(["bound", WALL, *many, "--camera", calibration(FISHEYE)]) == 0
+    assert "textured_wall.xml  32×24 pixels  fisheye lens  1 pose\n" in capsys.readouterr().out
+    assert cli.run(["bound", WALL, *many, "--size", "32x24"]) == 0
+    assert "32×24 pixels  1 pose\n" in capsys.readouterr().out
+
+
 def test_check_and_validate_take_it_too(calibration: Any, capsys: Any) -> None:
     lens = ["--camera", calibration(FISHEYE)]
     assert cli.run(["check", WALL, *lens, "--max-spp", "64"]) in (0, 3)

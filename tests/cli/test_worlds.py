@@ -41,6 +41,29 @@ def test_a_bound_of_a_world_says_its_light(
     assert "radiance 1 from everywhere (--light constant:1)" in " ".join(capsys.readouterr().out.split())
 
 
+def test_a_world_in_the_dark_is_said_to_be_dark(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "path.txt").write_text("0 0.1 0.05 2 0 1 0 0\n1 0.1 0.05 2 1 0 0 0\n")
+    command = ["bound", str(room), "--poses", str(tmp_path / "path.txt"), "--size", "16x12", "--spp", "16"]
+    assert cli.run([*command, "--light", "none"]) == 0
+    out = capsys.readouterr().out
+    assert "0 at 2" in out
+    assert out.count("note: every image is black; of the first, the scene has no emitter; ") == 1
+    assert "--light baked" in out
+
+
+def test_many_poses_say_their_worlds_light_once(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "path.txt").write_text("0 0.1 0.05 2 1 0 0 0\n1 0.2 0.05 2 1 0 0 0\n")
+    command = ["bound", str(room), "--poses", str(tmp_path / "path.txt"), "--size", "16x12", "--spp", "16"]
+    assert cli.run(command) == 0
+    out, err = capsys.readouterr()
+    assert out.count("radiance 1 from everywhere (--light constant:1)") == 1
+    assert err == ""
+
+
 def test_many_poses_are_of_one_world(room: Path, tmp_path: Path) -> None:
     (tmp_path / "path.txt").write_text("".join(f"{t} 0.{t} 0.05 2 0 1 0 0\n" for t in range(3)))
     command = [

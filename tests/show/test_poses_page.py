@@ -46,7 +46,7 @@ def test_the_page_says_what_it_shows(table: PoseTable) -> None:
     assert [one.rank for one in table.rows] == [6, 6, 6, 5, 0]
     text = words(page.poses_figure(table))
     for word in (
-        "room",
+        "room.xml",
         "5 poses",
         "2 not of rank 6",
         "from above",
