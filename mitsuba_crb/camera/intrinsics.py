@@ -99,6 +99,11 @@ class Intrinsics(Record):
         found = [f"{n} = {k:.4g}" for n, k in zip(names, self.distortion, strict=True) if k]
         return ", ".join(found) or "no coefficients"
 
+    def __str__(self) -> str:
+        (width, height), (fx, fy), (cx, cy) = self.size, self.focal, self.centre
+        lens = "pinhole" if self.model == "pinhole" else f"{self.model} lens, {self.words}"
+        return f"{width}×{height} pixels, fx = {fx:.6g}, fy = {fy:.6g}, cx = {cx:.6g}, cy = {cy:.6g}; {lens}"
+
     def moved(self, name: str, by: float) -> Intrinsics:
         """The same with one of `parameters` changed."""
         fx, fy, cx, cy, *distortion = (self.parameters | {name: self.parameters[name] + by}).values()

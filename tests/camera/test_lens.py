@@ -206,3 +206,10 @@ class TestRefusals:
         )
         with pytest.raises(CameraError, match="640x480 pixels, and 320x200 is another shape"):
             camera.scaled((320, 200))
+
+
+def test_a_camera_prints_in_a_line_what_is_not_zero() -> None:
+    lens = Intrinsics((640, 480), (460.25, 461.0), (322.9, 237.3), "opencv", (-0.28, 0.07, *(0.0,) * 6))
+    line = "640×480 pixels, fx = 460.25, fy = 461, cx = 322.9, cy = 237.3; opencv lens, k1 = -0.28, k2 = 0.07"
+    assert str(lens) == line
+    assert str(Intrinsics((64, 48), (50.0, 50.0), (32.0, 24.0))).endswith("cy = 24; pinhole")
