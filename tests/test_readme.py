@@ -10,8 +10,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from typer.main import get_group
 
 from mitsuba_crb import se3
+from mitsuba_crb.cli.app import app
 from mitsuba_crb.render import llvm
 
 ROOT = Path(__file__).parents[1]
@@ -34,6 +36,15 @@ def test_links_lead_somewhere() -> None:
 def test_named_modules_and_tests_exist() -> None:
     for path in re.findall(r"`((?:tests|benchmarks)/\w+\.py)`", README):
         assert (ROOT / path).is_file()
+
+
+def test_named_options_exist() -> None:
+    of_benchmarks = {"--all", "--compare", "--only", "--quick"}
+    named = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", README)) - of_benchmarks
+    commands = {parameter for command in get_group(app).commands.values() for parameter in command.params}
+    known = {option for parameter in commands for option in (*parameter.opts, *parameter.secondary_opts)}
+    assert {"--camera", "--poses"} <= named
+    assert named <= known
 
 
 def _sorted(code: str) -> str:
