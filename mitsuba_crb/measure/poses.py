@@ -15,14 +15,13 @@ import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol, Unpack
+from typing import TYPE_CHECKING, Any, Protocol, Unpack
 
 import numpy as np
 
-from .. import se3
 from ..bound.cramer_rao import PoseBound
 from ..bound.prior import load_prior
-from ..errors import MitsubaCRBError, NoiseError, OptionError, PoseError, SceneWarning
+from ..errors import NoiseError, SceneWarning
 from ..files import jsonable
 from ..noise import NoiseModel
 from ..render.fingerprint import fingerprint, mask_fingerprint
@@ -30,13 +29,17 @@ from ..render.lending import in_turn
 from ..render.scene import SceneFile, as_scene
 from ..se3 import Array, Frame
 from .exposure import exposed, start_metering
-from .mitsuba_view import open_measurable, wanted
+from .mitsuba_view import wanted
 from .nuisances import name_parameters
 from .options import MeasurementKeywords, MeasurementOptions
 from .pose import pose_bound
 from .pose_table import PoseRow, PoseTable
 from .sensing import DEPTH
+from .stations import Station, named, open_stations, stations_of
 from .versions import versions
+
+if TYPE_CHECKING:
+    from ..camera import Intrinsics
 
 Progress = Callable[[int, int], None]
 """Called after each pose with the poses done and all of them."""
@@ -73,6 +76,7 @@ def pose_bounds(
     *,
     prior: Any = None,
     nuisances: Sequence[str] = (),
+    cameras: Sequence[Intrinsics] | None = None,
     on_pose: Progress | None = None,
     **options: Unpack[MeasurementKeywords],
 ) -> list[PoseBound]:
@@ -84,6 +88,7 @@ def pose_bounds(
         noise: as for `pose_bound`; None is that of one camera for all poses, exposed for their pooled pixels,
             or with `exposure="auto"` for each. Where all is black, white is 1: nothing is seen there.
         prior, nuisances: as for `pose_bound`, the same at every pose.
+        cameras: of each pose, in place of one `camera` for all.
         on_pose: called after each pose.
         options: see `MeasurementOptions`.
 
@@ -92,21 +97,21 @@ def pose_bounds(
 
     Raises:
         PoseError: there are no poses, or one is no rigid motion; says which.
+        OptionError: there are not as many cameras as poses, or a `camera` besides.
         MitsubaCRBError: as `pose_bound`, the pose named.
 
     Warns:
         SceneWarning: all images are black, and why.
     """
-    named = _checked(poses, None)
-    _without_pose(options)
-    loaded, _ = _loaded(scene, nuisances, options)
-    white = _white(loaded, [pose for _, pose in named], noise, options)
+    stations = stations_of(poses, None, cameras, options)
+    loaded, _ = _loaded(scene, nuisances, stations, options)
+    white = _white(loaded, stations, noise, options)
     shared = _Shared(loaded, noise, prior, nuisances, _exposed(options, white))
     found = []
-    for index, (name, pose) in enumerate(named):
-        found.append(shared.bound(name, pose))
+    for index, station in enumerate(stations):
+        found.append(shared.bound(station))
         if on_pose is not None:
-            on_pose(index + 1, len(named))
+            on_pose(index + 1, len(stations))
     return found
 
 
@@ -120,6 +125,7 @@ def pose_table(
     defines: Mapping[str, str] | None = None,
     prior: Any = None,
     nuisances: Sequence[str] = (),
+    cameras: Sequence[Intrinsics] | None = None,
     frame: Frame = "camera",
     record: PoseRecord | None = None,
     on_pose: Progress | None = None,
@@ -128,7 +134,7 @@ def pose_table(
     """The bounds at many poses as a table, kept row by row, so that an interrupted run can go on.
 
     Args:
-        scene, poses, noise, nuisances, options: as for `pose_bounds`.
+        scene, poses, noise, nuisances, cameras, options: as for `pose_bounds`.
         names: of the poses; None: their places, counted from 0.
         defines: the scene file's `<default>`s.
         prior: as for `pose_bound`, or its file.
@@ -144,18 +150,17 @@ def pose_table(
         MitsubaCRBError: as `pose_bounds`; the record's own if an earlier run had other settings.
         KeyboardInterrupt: before the first row was done.
     """
-    checked = _checked(poses, names)
-    _without_pose(options)
-    matrices = [pose for _, pose in checked]
+    stations = stations_of(poses, names, cameras, options)
     source = SceneFile(scene, dict(defines or {})) if isinstance(scene, str | Path) else scene
     known = load_prior(prior) if isinstance(prior, Path) else prior
-    loaded, label = _loaded(source, nuisances, options)
+    loaded, label = _loaded(source, nuisances, stations, options)
     settings = {
         "scene": label,
         "scene_contents": fingerprint(loaded, scene, defines),
         "defines": dict(defines or {}),
-        "poses": {"count": len(checked), "contents": _poses_fingerprint(checked)},
+        "poses": {"count": len(stations), "contents": _poses_fingerprint(stations)},
         **_options_said(options),
+        "cameras": None if cameras is None else _said([camera.to_dict() for camera in cameras]),
         "noise": _said(noise),
         "prior": _said(prior),
         "nuisances": list(nuisances),
@@ -166,31 +171,31 @@ def pose_table(
     if before is not None and before.get("white") is not None:
         settings["white"] = before["white"]  # of the same poses, if all else is the same
     else:
-        settings["white"] = _white(loaded, matrices, noise, options)
-    rows = record.resume(settings, matrices) if record is not None else {}
+        settings["white"] = _white(loaded, stations, noise, options)
+    rows = record.resume(settings, [station.pose for station in stations]) if record is not None else {}
     facts = {"scene": label, "defines": settings["defines"]}
     if isinstance(prior, Path):
         facts["prior"] = str(prior)
     shared = _Shared(loaded, noise, known, nuisances, _exposed(options, settings["white"]))
     if on_pose is not None:
-        on_pose(len(rows), len(checked))
+        on_pose(len(rows), len(stations))
     try:
-        for index, (name, pose) in enumerate(checked):
+        for index, station in enumerate(stations):
             if index in rows:
                 continue
-            bound = shared.bound(name, pose).to_frame(frame)
+            bound = shared.bound(station).to_frame(frame)
             bound = dataclasses.replace(bound, provenance={**bound.provenance, **facts})
-            row = PoseRow.of(name, bound)
+            row = PoseRow.of(station.name, bound)
             if record is not None:
                 record.add(index, row, bound)
             rows[index] = row
             if on_pose is not None:
-                on_pose(len(rows), len(checked))
+                on_pose(len(rows), len(stations))
     except KeyboardInterrupt:
         if not rows:
             raise
     places = tuple(sorted(rows))
-    return PoseTable(tuple(rows[place] for place in places), places, len(checked), settings)
+    return PoseTable(tuple(rows[place] for place in places), places, len(stations), settings)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -203,24 +208,22 @@ class _Shared:
     nuisances: Sequence[str]
     options: MeasurementKeywords
 
-    def bound(self, name: str, pose: Array) -> PoseBound:
+    def bound(self, station: Station) -> PoseBound:
         """At one pose.
 
         Raises:
             KeyboardInterrupt: also where `pose_bound` would have answered with what it had.
         """
-        options: MeasurementKeywords = {**self.options, "pose": pose}
+        options: MeasurementKeywords = station.options(self.options)
         with warnings.catch_warnings():  # they stand in the provenance
             warnings.simplefilter("ignore")
-            try:
+            with named(station):
                 try:
                     found = self._measured(options)
                 except NoiseError:
                     if self.noise is not None or options.get("exposure") != "auto":
                         raise
                     found = self._measured({**options, "exposure": _BLACK})  # black, and set by itself
-            except MitsubaCRBError as error:
-                raise type(error)(f"pose {name!r}: {error}") from error
         if found.provenance.get("sampling", {}).get("interrupted"):
             raise KeyboardInterrupt
         return found
@@ -229,32 +232,11 @@ class _Shared:
         return pose_bound(self.scene, self.noise, prior=self.prior, nuisances=self.nuisances, **options)
 
 
-def _checked(poses: Sequence[Any] | Array, names: Sequence[str] | None) -> list[tuple[str, Array]]:
-    """Names and rigid motions."""
-    if isinstance(poses, str | Path):
-        raise PoseError(f"poses are matrices, not the file {str(poses)!r}: read it first")
-    count = len(poses)
-    if not count:
-        raise PoseError("there are no poses")
-    named = [str(index) for index in range(count)] if names is None else [str(name) for name in names]
-    if len(named) != count:
-        raise PoseError(f"{count} poses have {len(named)} names")
-    for name in named:
-        if not name.isprintable():
-            raise PoseError(f"the name {name!r} of a pose does not fit on a line")
-    return [
-        (name, se3.as_pose(pose, f"pose {name!r} ({index + 1} of {count})"))
-        for index, (name, pose) in enumerate(zip(named, poses, strict=True))
-    ]
-
-
-def _without_pose(options: MeasurementKeywords) -> None:
-    if options.get("pose") is not None:
-        raise OptionError("poses say where the camera is; leave out pose")
-
-
-def _loaded(scene: Any, nuisances: Sequence[str], options: MeasurementKeywords) -> tuple[Any, str]:
-    asked = dataclasses.replace(wanted(MeasurementOptions(**options)), apart=name_parameters(nuisances))
+def _loaded(
+    scene: Any, nuisances: Sequence[str], stations: Sequence[Station], options: MeasurementKeywords
+) -> tuple[Any, str]:
+    first = MeasurementOptions(**stations[0].options(options))
+    asked = dataclasses.replace(wanted(first), apart=name_parameters(nuisances))
     return as_scene(scene, asked)
 
 
@@ -263,7 +245,7 @@ def _exposed(options: MeasurementKeywords, white: float | None) -> MeasurementKe
 
 
 def _white(
-    loaded: Any, poses: Sequence[Array], noise: NoiseModel | None, options: MeasurementKeywords
+    loaded: Any, stations: Sequence[Station], noise: NoiseModel | None, options: MeasurementKeywords
 ) -> float | None:
     """That of the default camera, from all poses' pixels; None if it is not asked for.
 
@@ -271,15 +253,15 @@ def _white(
     """
     if noise is not None or options.get("exposure") is not None or options.get("measure") == DEPTH:
         return None
-    side = max(_COARSEST, math.ceil(math.sqrt(_POOLED / len(poses))))
-    there: MeasurementKeywords = {**options, "pose": poses[0]}
-    given = MeasurementOptions(**there)
-    with open_measurable(loaded, given) as view:
-        parts = [start_metering(view.at(pose), given.seed, side)().reshape(2, -1) for pose in poses]
+    side = max(_COARSEST, math.ceil(math.sqrt(_POOLED / len(stations))))
+    seed = MeasurementOptions(**options).seed
+    with open_stations(loaded, stations, options) as opened:
+        views = list(opened)
+        parts = [start_metering(view, seed, side)().reshape(2, -1) for view in views]
         # In an order that is not that of the poses, for sums of floats depend on it.
         found = exposed(*np.concatenate(sorted(parts, key=lambda part: part.tobytes()), axis=1))
         if found is None:
-            why = view.nothing_visible(black=True)
+            why = views[0].nothing_visible(black=True)
             warnings.warn(f"every image is black; of the first, {why}", SceneWarning, stacklevel=3)
     return _BLACK if found is None else found.white
 
@@ -308,8 +290,8 @@ def _said(value: Any) -> Any:
     return {**kind, "contents": hashlib.sha256(text.encode()).hexdigest()[:16]}
 
 
-def _poses_fingerprint(named: Sequence[tuple[str, Array]]) -> str:
+def _poses_fingerprint(stations: Sequence[Station]) -> str:
     digest = hashlib.sha256()
-    for name, pose in named:
-        digest.update(name.encode() + b"\0" + pose.tobytes())
+    for station in stations:
+        digest.update(station.name.encode() + b"\0" + station.pose.tobytes())
     return digest.hexdigest()[:16]

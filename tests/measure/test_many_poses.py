@@ -15,7 +15,14 @@ from small_scenes import T, camera, scene, texture, wall
 from mitsuba_crb import pose_bound, pose_bounds, se3
 from mitsuba_crb.bound.cramer_rao import PoseBound
 from mitsuba_crb.camera import Intrinsics
-from mitsuba_crb.errors import NoiseError, OptionError, PoseError, PrecisionError, SceneWarning
+from mitsuba_crb.errors import (
+    CameraError,
+    NoiseError,
+    OptionError,
+    PoseError,
+    PrecisionError,
+    SceneWarning,
+)
 from mitsuba_crb.measure.pose_table import PoseRow, PoseTable
 from mitsuba_crb.measure.poses import pose_table
 from mitsuba_crb.noise import Gaussian
@@ -60,6 +67,22 @@ def test_a_calibration_takes_the_sensor_s_place_at_every_pose() -> None:
     other = dataclasses.replace(lens, distortion=(-0.2, *lens.distortion[1:]))
     one, two = (pose_table(WORLD, PATH[:1], spp=16, camera=each).settings["camera"] for each in (lens, other))
     assert one != two
+
+
+def test_each_pose_may_have_a_camera_of_its_own() -> None:
+    bent = Intrinsics((24, 18), (25.0, 26.0), (11.5, 9.25), "opencv", (-0.1, 0, 0, 0, 0, 0, 0, 0))
+    cameras = [Intrinsics((20, 18), (21.0, 21.0), (10.0, 9.0)), bent]
+    world = mi.load_dict(WORLD)
+    found = pose_bounds(world, PATH[:2], spp=16, cameras=cameras)
+    white = found[0].provenance["noise"]["white"]
+    for pose, own, bound in zip(PATH, cameras, found, strict=False):
+        assert same(bound, pose_bound(world, pose=pose, camera=own, spp=16, exposure=white))
+    with pytest.raises(CameraError, match=r"pose 'b': .* 40x36 is another shape"):
+        pose_table(world, PATH[:2], names=["a", "b"], cameras=cameras, size=(40, 36))
+    with pytest.raises(OptionError, match="3 poses have 2 cameras"):
+        pose_bounds(world, PATH, cameras=cameras)
+    with pytest.raises(OptionError, match="leave out camera"):
+        pose_bounds(world, PATH[:2], cameras=cameras, camera=bent)
 
 
 def test_bounds_do_not_depend_on_the_order_of_the_poses() -> None:
