@@ -87,20 +87,26 @@ def parse_pose(text: str | None) -> npt.NDArray[np.float64] | None:
         raise PoseError(f"--pose {file}: {error}") from error
 
 
+_SCENE_S = "scene"
+"""What `--camera` says for the scene's own camera."""
+
+
 def camera_file(text: str | None) -> Path | None:
-    """The file that a `--camera` text names, None if it is not given."""
-    return None if text is None else _file_and_name(text)[0]
+    """The file that a `--camera` text names, None if it names none."""
+    return None if text in (None, _SCENE_S) else _file_and_name(text)[0]
 
 
 def parse_camera(text: str | None) -> Intrinsics | None:
     """The calibration in a file, or in "FILE:NAME", of several cameras the one of this name.
+
+    None if the text is not given, or says that it is the scene's own.
 
     Raises:
         CameraError: the file is missing, of no known format or damaged, or the name is missing or unknown.
     """
     from ..datasets.intrinsics import load_camera
 
-    return None if text is None else load_camera(*_file_and_name(text))
+    return None if text in (None, _SCENE_S) else load_camera(*_file_and_name(text))
 
 
 def parse_noise(sigma: float | None, file: Path | None) -> NoiseModel | None:

@@ -21,6 +21,7 @@ from .options import (
     DepthSigma,
     DropInvalid,
     Exposure,
+    Images,
     Integrator,
     Light,
     MaxSpp,
@@ -51,6 +52,7 @@ def bound(
     pose: Pose = None,
     poses: Poses = None,
     convention: Convention = None,
+    images: Images = None,
     method: Method = MeasurementOptions.method,
     spp: Spp = None,
     precision: Precision = None,
@@ -157,7 +159,12 @@ def bound(
         check_pose_options(
             poses,
             single={"--pose": pose, "--hcr": hcr, "--exr": exr_file},
-            many={"--convention": convention, "--csv": csv_file, "--parquet": parquet_file},
+            many={
+                "--convention": convention,
+                "--images": images,
+                "--csv": csv_file,
+                "--parquet": parquet_file,
+            },
         )
         options = view_options(
             sensor=sensor,
@@ -186,9 +193,10 @@ def bound(
         check_targets(targets, inputs, resumed=() if poses is None else ("--json", "--csv"))
         options |= {"prior": prior, "nuisances": marginalize or (), "frame": frame, "method": method}
         if poses is not None:
-            files = {"json_file": json_file, "csv_file": csv_file}
-            files |= {"parquet_file": parquet_file, "plot_file": plot_file}
-            return bound_poses(scene, poses, convention, noise=noise, defines=defines, **files, **options)
+            options |= {"json_file": json_file, "csv_file": csv_file}
+            options |= {"parquet_file": parquet_file, "plot_file": plot_file}
+            options |= {"noise": noise, "defines": defines, "own_cameras": camera is None}
+            return bound_poses(scene, poses, convention, images, **options)
 
         from ..export.documents import bound_document, write_json
         from ..export.exr import write_exr

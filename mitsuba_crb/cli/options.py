@@ -37,9 +37,10 @@ Pose = Annotated[
 Camera = Annotated[
     str | None,
     typer.Option(
-        metavar="FILE[:NAME]",
-        help="A calibration in place of the scene's camera: of COLMAP, transforms.json, ROS, Kalibr, OpenCV, "
-        "or TOML; NAME is one of several cameras in it.",
+        metavar="FILE[:NAME]|scene",
+        help="A calibration in place of the scene's camera: of COLMAP, transforms.json, LLFF, ROS, Kalibr, "
+        "OpenCV, or TOML; NAME is one of several cameras in it. Default with --poses: what their file says, "
+        "of each pose its own, if it does; scene: the scene's nevertheless.",
     ),
 ]
 Poses = Annotated[
@@ -47,7 +48,7 @@ Poses = Annotated[
     typer.Option(
         metavar="FILE",
         help="Many poses, a row of the table each: TUM, KITTI, EuRoC, COLMAP, transforms.json, LLFF, "
-        ".npy (N,4,4) and others, told apart by what is in them.",
+        "7-Scenes, .npy (N,4,4) and others, told apart by what is in them; or a capture's folder.",
     ),
 ]
 Convention = Annotated[
@@ -56,6 +57,14 @@ Convention = Annotated[
         metavar="C",
         help='Of --poses, where the file cannot tell: such as "opencv camera_from_world"; see '
         "`mitsuba_crb.datasets.poses`.",
+    ),
+]
+Images = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FOLDER",
+        help="Photographs taken at --poses, which the render is compared with; default: those beside their "
+        "file.",
     ),
 ]
 CsvFile = Annotated[

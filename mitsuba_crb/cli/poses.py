@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..errors import OptionError
-from .outcome import answered, measuring
+from .outcome import answered, complain, measuring
+
+if TYPE_CHECKING:
+    from ..camera import Intrinsics
+    from ..measure.likeness import Likeness
 
 
 def check_pose_options(poses: Path | None, single: dict[str, Any], many: dict[str, Any]) -> None:
@@ -31,7 +35,9 @@ def bound_poses(
     scene: Path,
     poses: Path,
     convention: str | None,
+    images: Path | None,
     *,
+    own_cameras: bool,
     json_file: Path | None,
     csv_file: Path | None,
     parquet_file: Path | None,
@@ -40,9 +46,15 @@ def bound_poses(
 ) -> int:
     """A table of bounds; options as `pose_table` has them.
 
+    Args:
+        images: a folder of photographs; None: those that are at hand.
+        own_cameras: each pose has the camera that the file says, if it has any.
+
     Returns:
         The exit code: 0, or 130 if it was interrupted; what is done is printed and kept then.
     """
+    from ..datasets.intrinsics import cameras_of_poses
+    from ..datasets.pose_photographs import photographs_at_hand, photographs_in
     from ..datasets.poses import load_poses
     from ..export.pose_files import PoseFiles, parquet_library, write_parquet
     from ..measure.poses import pose_table
@@ -51,10 +63,22 @@ def bound_poses(
     if parquet_file is not None:
         parquet_library()
     read = load_poses(poses, convention)
+    cameras = cameras_of_poses(poses, read) or None if own_cameras else None
+    photographs = photographs_at_hand(poses, read) if images is None else photographs_in(images, read)
     record = PoseFiles(json_file, csv_file)
     with measuring() as (bar, notes):  # of the scene; every row has its own
-        table = pose_table(scene, read.poses, names=read.names, record=record, on_pose=bar, **options)
-    with answered(lambda to: print_poses(to, table, f"{poses}: {read}", notes)):
+        table = pose_table(
+            scene,
+            read.poses,
+            names=read.names,
+            cameras=cameras,
+            photographs=photographs or None,
+            record=record,
+            on_pose=bar,
+            on_likeness=_warn,
+            **options,
+        )
+    with answered(lambda to: print_poses(to, table, f"{poses}: {read}{_said(cameras)}", notes)):
         if parquet_file is not None:
             write_parquet(parquet_file, table)
         if plot_file is not None:
@@ -62,3 +86,26 @@ def bound_poses(
 
             write_poses_plot(plot_file, table)
     return 130 if table.interrupted else 0
+
+
+def _said(cameras: list[Intrinsics] | None) -> str:
+    """That the cameras are the file's, on a line of its own."""
+    if cameras is None:
+        return ""
+    different = list(dict.fromkeys(cameras))
+    width, height = different[0].size
+    words = (
+        f"{width}x{height} pixels, {different[0].model}"
+        if len(different) == 1
+        else f"{len(different)} different ones, each pose its own"
+    )
+    return f"\ncameras of the same file: {words}; --camera would say otherwise"
+
+
+def _warn(likeness: list[Likeness]) -> None:
+    """Before the bounds, which take long."""
+    from ..show.poses_table import likeness_fault
+
+    fault = likeness_fault(likeness)
+    if fault:
+        complain(f"note: {fault}")

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from ..bound.cramer_rao import PoseBound, Verdicts
 from ..files import Record
 from ..se3 import Array
+from .likeness import UNKNOWN, Likeness
 
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _POSITION = tuple(f"position_std_{axis}" for axis in ("x", "y", "z"))
@@ -69,9 +70,13 @@ class PoseRow(Record):
     """What the method cannot see, so that the numbers are no bounds."""
     notes: tuple[str, ...]
     """What else was warned of."""
+    psnr_db: float = math.nan
+    """Of the render at the pose against its photograph; NaN without one, see `likeness` [dB]."""
+    even_psnr_db: float = math.nan
+    """Of an even colour against it [dB]."""
 
     @staticmethod
-    def of(name: str, bound: PoseBound) -> PoseRow:
+    def of(name: str, bound: PoseBound, likeness: Likeness = UNKNOWN) -> PoseRow:
         """The row of a measured bound."""
         semi_axes, directions = bound.ellipsoid("position")
         facts = bound.provenance
@@ -97,7 +102,14 @@ class PoseRow(Record):
             seconds=facts.get("seconds", {}).get("total", math.nan),
             no_bound=_lines(blind),
             notes=_lines([text for text in facts.get("warnings", ()) if text not in blind]),
+            psnr_db=likeness.psnr_db,
+            even_psnr_db=likeness.even_psnr_db,
         )
+
+    @property
+    def likeness(self) -> Likeness:
+        """Of the render and the photograph."""
+        return Likeness(self.psnr_db, self.even_psnr_db)
 
     @property
     def verdicts(self) -> tuple[str, ...]:
@@ -151,6 +163,7 @@ class PoseRow(Record):
             found |= {name: float(self.ellipsoid[k]), f"{name}_x": x, f"{name}_y": y, f"{name}_z": z}
             found[f"{name}_verdict"] = self.ellipsoid_verdict[k]
         words = {"no_bound": _BREAK.join(self.no_bound), "notes": _BREAK.join(self.notes)}
+        found |= {"psnr_db": self.psnr_db, "even_psnr_db": self.even_psnr_db}
         return found | {"seconds": self.seconds, **words}
 
     @staticmethod
@@ -188,6 +201,8 @@ class PoseRow(Record):
             seconds=float(numbers("seconds")[0]),
             no_bound=tuple(text for text in str(values["no_bound"]).split(_BREAK) if text),
             notes=tuple(text for text in str(values["notes"]).split(_BREAK) if text),
+            psnr_db=float(numbers("psnr_db")[0]),
+            even_psnr_db=float(numbers("even_psnr_db")[0]),
         )
 
 

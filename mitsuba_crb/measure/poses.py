@@ -29,6 +29,7 @@ from ..render.lending import in_turn
 from ..render.scene import SceneFile, as_scene
 from ..se3 import Array, Frame
 from .exposure import exposed, start_metering
+from .likeness import UNKNOWN, Likeness, photograph_likenesses
 from .mitsuba_view import wanted
 from .nuisances import name_parameters
 from .options import MeasurementKeywords, MeasurementOptions
@@ -126,9 +127,11 @@ def pose_table(
     prior: Any = None,
     nuisances: Sequence[str] = (),
     cameras: Sequence[Intrinsics] | None = None,
+    photographs: Sequence[str | Path | None] | None = None,
     frame: Frame = "camera",
     record: PoseRecord | None = None,
     on_pose: Progress | None = None,
+    on_likeness: Callable[[list[Likeness]], None] | None = None,
     **options: Unpack[MeasurementKeywords],
 ) -> PoseTable:
     """The bounds at many poses as a table, kept row by row, so that an interrupted run can go on.
@@ -138,15 +141,18 @@ def pose_table(
         names: of the poses; None: their places, counted from 0.
         defines: the scene file's `<default>`s.
         prior: as for `pose_bound`, or its file.
+        photographs: files of each pose's, which the render there is compared with, see `likeness`.
         frame: of the matrices that the record is given.
         record: what is asked for rows that are done, and given every new one.
         on_pose: called before the first pose, with what is done, and after each.
+        on_likeness: called before that, if there are photographs, with what came of them.
 
     Returns:
         `PoseTable`, without the rows that are missing if it was interrupted (Ctrl-C).
 
     Raises:
         PriorError: an impossible prior.
+        CaptureError: there are not as many photographs as poses, or one is no image.
         MitsubaCRBError: as `pose_bounds`; the record's own if an earlier run had other settings.
         KeyboardInterrupt: before the first row was done.
     """
@@ -154,6 +160,11 @@ def pose_table(
     source = SceneFile(scene, dict(defines or {})) if isinstance(scene, str | Path) else scene
     known = load_prior(prior) if isinstance(prior, Path) else prior
     loaded, label = _loaded(source, nuisances, stations, options)
+    likeness = [UNKNOWN] * len(stations)
+    if photographs is not None:
+        likeness = photograph_likenesses(loaded, stations, photographs, options)
+        if on_likeness is not None:
+            on_likeness(likeness)
     settings = {
         "scene": label,
         "scene_contents": fingerprint(loaded, scene, defines),
@@ -161,6 +172,7 @@ def pose_table(
         "poses": {"count": len(stations), "contents": _poses_fingerprint(stations)},
         **_options_said(options),
         "cameras": None if cameras is None else _said([camera.to_dict() for camera in cameras]),
+        "photographs": None if photographs is None else _said(likeness),
         "noise": _said(noise),
         "prior": _said(prior),
         "nuisances": list(nuisances),
@@ -185,7 +197,7 @@ def pose_table(
                 continue
             bound = shared.bound(station).to_frame(frame)
             bound = dataclasses.replace(bound, provenance={**bound.provenance, **facts})
-            row = PoseRow.of(station.name, bound)
+            row = PoseRow.of(station.name, bound, likeness[index])
             if record is not None:
                 record.add(index, row, bound)
             rows[index] = row

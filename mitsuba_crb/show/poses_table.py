@@ -14,6 +14,7 @@ from rich.text import Text
 
 from ..bound.cramer_rao import LARGEST_RELATIVE_ERROR
 from ..measure.exposure import RELATIVE_SIGMA
+from ..measure.likeness import Likeness, unlike
 from ..measure.options import PRECISION
 from ..measure.pose_table import ranks
 from ..measure.sensing import COLOUR, DEPTH
@@ -48,6 +49,9 @@ def print_poses(
     """
     for line in source.splitlines():
         print_line(console, line)
+    compared = [row for row in table.rows if not math.isnan(row.psnr_db)]
+    if compared:
+        print_line(console, *_likeness(compared, len(table.rows)))
     size = table.settings.get("size") or (table.settings.get("camera") or {}).get("size")
     scene = Text(str(table.settings.get("scene", "")).rpartition("/")[2], style="bold")
     pixels = "" if size is None else f"  {size[0]}×{size[1]} pixels"
@@ -69,6 +73,30 @@ def print_poses(
     notes = Counter(note for row in table.rows for note in row.notes if not note.startswith(_IN_ROWS))
     print_notes(console, scene_notes)
     print_notes(console, [f"{note}{_times(n, len(table.rows))}" for note, n in notes.most_common()])
+
+
+def likeness_fault(found: list[Likeness]) -> str:
+    """Why renders may be so unlike their photographs, in words; empty if they are not."""
+    if not unlike(found):
+        return ""
+    psnr, even = (np.nanmedian(values) for values in zip(*found, strict=True))
+    return (
+        f"the renders are unlike the photographs (median PSNR {psnr:.1f} dB, an even colour's {even:.1f}): "
+        "the poses may be inverted, have other axes (--convention), or be of another world or scale"
+    )
+
+
+def _likeness(rows: list[PoseRow], of: int) -> list[str | Text]:
+    """The PSNR of the poses that have a photograph."""
+    worst, median = min(rows, key=lambda row: row.psnr_db), np.median([row.psnr_db for row in rows])
+    text = (
+        f"PSNR of the render against the photograph: median {median:.1f} dB, worst {worst.psnr_db:.1f} dB at "
+        f"{worst.name}"
+    )
+    if len(rows) < of:
+        text += f" ({len(rows)} of {of} poses have one of the render's shape)"
+    fault = likeness_fault([row.likeness for row in rows])
+    return [text] if not fault else [text, Text(f"\n{fault}", style="bold red")]
 
 
 def _print_rows(console: Console, rows: tuple[PoseRow, ...]) -> None:

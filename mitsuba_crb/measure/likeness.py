@@ -1,0 +1,142 @@
+"""How like a photograph the render at its pose is: poses read in another convention show something else.
+
+The photograph, decoded from sRGB and averaged down to few pixels, is y; the render there is R. Exposure,
+white balance and haze are not known, so that each channel is fitted by least squares,
+
+    y ≈ gain R + black,   PSNR = −10 lg mean (s(y) − s(gain R + black))² [dB],
+
+s being the curve of sRGB, whose values are what is seen; of what is darker than black, or lighter than white,
+that of black and white. What is saturated in the photograph takes no part in the fit, for the render goes on
+above white; what the photograph masks by its opacity takes no part at all.
+
+A photograph without contrast is like anything: beside it stands the PSNR of an even colour, gain = 0.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import CaptureError
+from ..files import read_colours
+from ..jacobian.method import Paths
+from ..noise import SRGB
+from ..se3 import Array
+from .mitsuba_view import MitsubaView
+from .options import MeasurementKeywords, MeasurementOptions
+from .stations import Station, open_stations
+
+POOR_DB = 18.0
+"""Below this the render and the photograph show different things."""
+LEAST_GAIN_DB = 3.0
+"""Likewise, where the render explains less than half of what an even colour leaves."""
+
+_SIDE = 128
+"""Pixels of the longer side that are compared, where there are so many."""
+_SPP = 64
+_BATCHES = 4
+_SATURATED = 0.98
+_LIKENESS = 0x4C494B45
+"""Purpose of the render's random numbers."""
+
+
+class Likeness(NamedTuple):
+    """Of a render and the photograph at its pose; NaN where there is none."""
+
+    psnr_db: float = math.nan
+    """Infinite where they are the same [dB]."""
+    even_psnr_db: float = math.nan
+    """That of an even colour in the render's place [dB]."""
+
+
+UNKNOWN = Likeness()
+"""Where there is nothing to compare."""
+
+
+def unlike(found: Sequence[Likeness]) -> bool:
+    """Whether most renders, at the median, show something else than their photographs."""
+    values = np.array([one for one in found if not math.isnan(one.psnr_db)]).reshape(-1, 2)
+    if not len(values):
+        return False
+    return bool(np.median(values[:, 0]) < POOR_DB or np.median(values[:, 0] - values[:, 1]) < LEAST_GAIN_DB)
+
+
+def likeness(image: Array, photograph: Array, opacity: Array) -> Likeness:
+    """Of a render and a photograph.
+
+    Args:
+        image: (H, W, 3) [radiance].
+        photograph: (H, W, 3), linear, from 0 to 1.
+        opacity: (H, W), from 0, where the photograph shows nothing of the scene, to 1.
+    """
+    weight = np.where(np.isfinite(image).all(axis=2), opacity, 0.0).ravel()
+    if not weight.any():
+        return UNKNOWN
+    errors: tuple[list[Array], list[Array]] = ([], [])
+    for values, seen in zip(image.reshape(-1, 3).T, photograph.reshape(-1, 3).T, strict=True):
+        rows = np.stack([np.nan_to_num(values), np.ones(len(values))], axis=1)
+        root = np.sqrt(np.where(seen < _SATURATED, weight, 0.0))
+        for kind, columns in zip(errors, (rows, rows[:, 1:]), strict=True):
+            fitted = columns @ np.linalg.lstsq(root[:, None] * columns, root * seen, rcond=None)[0]
+            kind.append(SRGB(np.clip(fitted, 0.0, 1.0)) - SRGB(seen))
+    means = [float(np.average(np.mean(np.square(kind), axis=0), weights=weight)) for kind in errors]
+    return Likeness(*(-10.0 * math.log10(mean) if mean > 0.0 else math.inf for mean in means))
+
+
+def photograph_likenesses(
+    loaded: Any,
+    stations: Sequence[Station],
+    photographs: Sequence[str | Path | None],
+    options: MeasurementKeywords,
+) -> list[Likeness]:
+    """How like its photograph the render at each pose is.
+
+    Args:
+        loaded: the scene.
+        stations: the poses.
+        photographs: files of each pose's; None: it has none.
+        options: of the measurement.
+
+    Returns:
+        One a pose; of NaN where there is no photograph, or one of another shape than the camera's image.
+
+    Raises:
+        CaptureError: there are not as many as poses, or one is no image.
+    """
+    if len(photographs) != len(stations):
+        raise CaptureError(f"{len(stations)} poses have {len(photographs)} photographs")
+    seed = MeasurementOptions(**options).seed
+    with open_stations(loaded, stations, options) as views:
+        return [
+            UNKNOWN if file is None else _compared(view, Path(file), seed)
+            for view, file in zip(views, photographs, strict=True)
+        ]
+
+
+def _compared(view: MitsubaView, file: Path, seed: int) -> Likeness:
+    colours = read_colours(file, CaptureError).astype(np.float64)
+    (down, across), (width, height) = colours.shape[:2], view.size
+    if abs(width * down - height * across) >= max(across, down, width, height):
+        return UNKNOWN
+    factor = min(1.0, min(_SIDE, max(across, down)) / max(width, height))
+    size = max(1, round(width * factor)), max(1, round(height * factor))
+    few = view.seen_through(view.intrinsics.scaled(size))
+    pixels = np.stack(np.meshgrid(*(np.arange(n) for n in size)), axis=-1).reshape(-1, 2)
+    image = few.start_image(pixels, Paths(_SPP, seed, _BATCHES), purpose=_LIKENESS, even=True)()
+    opacity = _averaged(colours[:, :, 3], size)
+    linear = [_averaged(colours[:, :, 3] * SRGB.inverse(colours[:, :, k]), size) for k in range(3)]
+    photograph = np.stack(linear, axis=2) / np.maximum(opacity, 1e-6)[:, :, None]
+    return likeness(image.mean(axis=0).reshape(size[1], size[0], 3), np.clip(photograph, 0.0, 1.0), opacity)
+
+
+def _averaged(values: NDArray[Any], size: tuple[int, int]) -> Array:
+    """(H, W) values in fewer pixels, each the mean of what it covers."""
+    from PIL import Image
+
+    picture = Image.fromarray(np.asarray(values, dtype=np.float32))
+    return np.asarray(picture.resize(size, Image.Resampling.BOX), dtype=np.float64)
