@@ -7,7 +7,8 @@ white balance and haze are not known, so that each channel is fitted by least sq
 
 s being the curve of sRGB, whose values are what is seen; of what is darker than black, or lighter than white,
 that of black and white. What is saturated in the photograph takes no part in the fit, for the render goes on
-above white; what the photograph masks by its opacity takes no part at all.
+above white; what the photograph masks by its opacity takes no part at all, nor what is black in the render:
+scans have holes.
 
 A photograph without contrast is like anything: beside it stands the PSNR of an even colour, gain = 0.
 """
@@ -74,7 +75,8 @@ def likeness(image: Array, photograph: Array, opacity: Array) -> Likeness:
         photograph: (H, W, 3), linear, from 0 to 1.
         opacity: (H, W), from 0, where the photograph shows nothing of the scene, to 1.
     """
-    weight = np.where(np.isfinite(image).all(axis=2), opacity, 0.0).ravel()
+    shown = np.isfinite(image).all(axis=2) & (image > 0.0).any(axis=2)
+    weight = np.where(shown, opacity, 0.0).ravel()
     if not weight.any():
         return UNKNOWN
     errors: tuple[list[Array], list[Array]] = ([], [])
@@ -111,7 +113,14 @@ def photograph_likenesses(
     if len(photographs) != len(stations):
         raise CaptureError(f"{len(stations)} poses have {len(photographs)} photographs")
     seed = MeasurementOptions(**options).seed
-    with open_stations(loaded, stations, options) as views:
+    # Colours, whatever is measured there.
+    seen: MeasurementKeywords = {
+        "sensor": options.get("sensor", MeasurementOptions.sensor),
+        "integrator": options.get("integrator"),
+        "size": options.get("size"),
+        "camera": options.get("camera"),
+    }
+    with open_stations(loaded, stations, seen) as views:
         return [
             UNKNOWN if file is None else _compared(view, Path(file), seed)
             for view, file in zip(views, photographs, strict=True)
