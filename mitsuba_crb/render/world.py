@@ -85,7 +85,8 @@ def load_world(
         light = "baked" if not lit else "none" if world.lamps else "constant:1"
         if light == "constant:1":
             notes.append(
-                "its light is not said: radiance 1 from everywhere (--light constant:1); scans want baked"
+                "its light is not said: radiance 1 from everywhere (--light constant:1), which leaves closed "
+                "rooms dark; scans want baked"
             )
     if notes:
         warnings.warn(f"{file}: {'; '.join(dict.fromkeys(notes))}", SceneWarning, stacklevel=2)

@@ -60,7 +60,7 @@ def test_many_poses_say_their_worlds_light_once(
     command = ["bound", str(room), "--poses", str(tmp_path / "path.txt"), "--size", "16x12", "--spp", "16"]
     assert cli.run(command) == 0
     out, err = capsys.readouterr()
-    assert out.count("radiance 1 from everywhere (--light constant:1)") == 1
+    assert out.count("radiance 1 from everywhere (--light constant:1), which leaves closed rooms dark") == 1
     assert err == ""
 
 
