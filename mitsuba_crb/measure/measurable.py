@@ -7,11 +7,13 @@ same functions and commands.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import OptionError
 from ..jacobian.method import Method, Paths
 
 if TYPE_CHECKING:
@@ -99,3 +101,16 @@ class Measurable(Protocol):
 
     def provenance(self) -> dict[str, Any]:
         """What else the numbers depend on, JSON-able."""
+
+
+def method_of(view: Measurable, name: str) -> type[Method]:
+    """The way to measure a view that users call so.
+
+    Raises:
+        OptionError: there is none; names the near one.
+    """
+    if name not in view.methods:
+        near = get_close_matches(str(name), view.methods, 1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise OptionError(f"unknown method {name!r}; {hint}methods: {', '.join(view.methods)}")
+    return view.methods[name]

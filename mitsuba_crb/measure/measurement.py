@@ -12,7 +12,6 @@ import contextlib
 import dataclasses
 import warnings
 from collections.abc import Iterator, Sequence
-from difflib import get_close_matches
 from functools import cached_property
 from typing import Any, Unpack
 
@@ -32,12 +31,12 @@ from ..noise import CoupledNoise, IndependentNoise, Luminance, NoiseModel
 from .differences import Differences
 from .expected import PILOT_SPP, ExpectedImage, whole_pilot
 from .exposure import Exposure, Saturation, exposed, start_metering
-from .measurable import Measurable
+from .measurable import Measurable, method_of
 from .mitsuba_view import open_measurable
 from .nuisances import Nuisance, name_parameters, nuisance_columns
 from .options import MeasurementKeywords, MeasurementOptions
 from .plan import Plan
-from .sensing import RGBD, depth_noise
+from .sensing import RGBD, noise_of_depth
 from .tile_jacobian import TileJacobian
 from .versions import versions
 
@@ -130,7 +129,7 @@ class Measurement:
         """The noise model, checked against the image, and where it came from."""
         found: NoiseModel
         if self.view.measured.depth is not None:
-            found, origin = self._depth_noise(model)
+            found, origin = noise_of_depth(self.options, model, float(abs(self.view.camera.focal[0])))
         elif model is None:
             exposure = self.exposure
             found = exposure.noise(clip=self.options.clip)
@@ -145,15 +144,6 @@ class Measurement:
         found = self.view.measured.noise(found)
         found.check(self.mask.shape[0], self.mask.shape[1], 3)
         return found, origin
-
-    def _depth_noise(self, model: NoiseModel | None) -> tuple[NoiseModel, str]:
-        """Of a depth camera, which has no exposure."""
-        if model is not None or self.options.exposure is not None or not self.options.clip:
-            raise OptionError(
-                "--sigma, --noise, --exposure and --no-clip (noise=, exposure=, clip=) are of colour; "
-                "--depth-sigma (depth_sigma=) is of depth"
-            )
-        return depth_noise(self.options.depth_sigma, float(abs(self.view.camera.focal[0])))
 
     @cached_property
     def exposure(self) -> Exposure:
@@ -406,16 +396,3 @@ def measurement(
             selection=selection,
             told=told,
         )
-
-
-def method_of(view: Measurable, name: str) -> type[Method]:
-    """The way to measure a view that users call so.
-
-    Raises:
-        OptionError: there is none; names the near one.
-    """
-    if name not in view.methods:
-        near = get_close_matches(str(name), view.methods, 1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        raise OptionError(f"unknown method {name!r}; {hint}methods: {', '.join(view.methods)}")
-    return view.methods[name]

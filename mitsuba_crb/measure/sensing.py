@@ -75,6 +75,22 @@ def depth_noise(sigma: DepthSigma | None, focal_length: float) -> tuple[NoiseMod
     return as_noise_model(sigma), "given"
 
 
+def noise_of_depth(
+    options: MeasurementOptions, model: NoiseModel | None, focal_length: float
+) -> tuple[NoiseModel, str]:
+    """As `depth_noise`, of a camera that has no exposure, and of which `model` would be of colour.
+
+    Raises:
+        OptionError: something is said of colour.
+    """
+    if model is not None or options.exposure is not None or not options.clip:
+        raise OptionError(
+            "--sigma, --noise, --exposure and --no-clip (noise=, exposure=, clip=) are of colour; "
+            "--depth-sigma (depth_sigma=) is of depth"
+        )
+    return depth_noise(options.depth_sigma, focal_length)
+
+
 def parse_depth_sigma(text: str | None) -> DepthSigma | None:
     """A number, "stereo:BASELINE,PIXELS", or a file with depths and standard deviations in two columns.
 
