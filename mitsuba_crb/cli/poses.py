@@ -92,14 +92,9 @@ def _said(cameras: list[Intrinsics] | None) -> str:
     """That the cameras are the file's, on a line of its own."""
     if cameras is None:
         return ""
-    different = list(dict.fromkeys(cameras))
-    width, height = different[0].size
-    words = (
-        f"{width}x{height} pixels, {different[0].model}"
-        if len(different) == 1
-        else f"{len(different)} different ones, each pose its own"
-    )
-    return f"\ncameras of the same file: {words}; --camera would say otherwise"
+    different = set(cameras)
+    alike = f"{cameras[0]}" if len(different) == 1 else f"{len(different)} different ones, each pose its own"
+    return f"\ncameras of the same file: {alike}; --camera would say otherwise"
 
 
 def _warn(likeness: list[Likeness]) -> None:
