@@ -118,6 +118,12 @@ class Inverse:
             for open_, blind in zip(infinite, unseen, strict=True)
         )
 
+    def is_blurred(self, functionals: Array) -> NDArray[np.bool_]:
+        """Which functionals (m, 6) are infinite and have a share of what is not resolved."""
+        shares = self.identifiability.has_share(functionals, self.resolution.unresolved)
+        unresolved = np.array(self.verdicts(functionals)) == "not resolved"
+        return np.asarray(self.kinds(functionals)[1] & (shares | unresolved))
+
     def lower_limits(self, functionals: Array) -> Array:
         """(m,), what each functional's true standard deviation exceeds with a confidence of 99 %."""
         hidden, _ = self.kinds(functionals)

@@ -210,19 +210,24 @@ class Rounds:
             fixed += np.maximum(np.nan_to_num(np.square(bound.relative_standard_error)) - own, 0.0)
         precision = self._run.options.goal
         goal = np.maximum(precision**2 - fixed, _SMALL * fixed)
-        verdicts = np.array(bound.verdicts)
-        goal[verdicts == "unseen"] = np.inf
+        # An axis may be infinite for one direction and have a share of another that is not resolved.
+        blurred = bound.inverse.is_blurred(functionals(bound))
+        goal[(np.array(bound.verdicts) == "unseen") & ~blurred] = np.inf
         needs = Needs.of(rounds, self._side, self._pixels, goal)
         # What the image may tell below its noise, where a prior makes the number finite without it.
         squares = np.square([*bound.position_std, *bound.rotation_std_deg])
         hidden = np.isfinite(squares) & (squares - values > precision * squares)
-        return needs.smoothed(), hidden | (verdicts == "not resolved")
+        return needs.smoothed(), hidden | blurred
+
+
+def functionals(bound: PoseBound) -> Array:
+    """(6, 6) of the position along world axes and of the rotation about the camera's, of a bound's inverse."""
+    return np.concatenate([position_functionals(bound.inverse), TURN])
 
 
 def sensitivities(joint: JointInformation, bound: PoseBound) -> tuple[Array, Array]:
     """b (6, 6 + m), in the columns of a joint information, and σ² (6,) of its bound, see `block_variance`."""
-    functionals = np.concatenate([position_functionals(bound.inverse), TURN])
-    vectors, values = bound.inverse.sensitivity(functionals)
+    vectors, values = bound.inverse.sensitivity(functionals(bound))
     return vectors @ joint.marginalize().elimination.T, values
 
 

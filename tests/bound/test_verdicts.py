@@ -234,3 +234,13 @@ class TestFiniteNumbers:
             bound = bound_of(*drawn(rng, F, noise, 3.0))
             kept += bound.rank < 6 and np.isfinite(bound.position_std[0])
         assert kept == 0
+
+
+def test_an_axis_that_is_unseen_may_hide_something_that_is_not_resolved():
+    """One direction tells nothing for certain, the next is drowned in noise: more paths tell of their sum."""
+    covariance = np.zeros((21, 21))
+    covariance[-1, -1] = 0.1  # of the last direction's own information
+    inverse = inverse_of(np.diag([4.0, 3.0, 2.0, 1.0, 0.0, 0.05]), covariance)
+    axes = np.array([AXES[4], AXES[5], (AXES[4] + AXES[5]) / np.sqrt(2.0), AXES[0]])
+    assert inverse.verdicts(axes) == ("unseen", "not resolved", "unseen", "seen")
+    np.testing.assert_array_equal(inverse.is_blurred(axes), [False, True, True, False])
