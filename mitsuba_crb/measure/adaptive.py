@@ -221,7 +221,7 @@ class Rounds:
 
 
 def functionals(bound: PoseBound) -> Array:
-    """(6, 6) of the position along world axes and of the rotation about the camera's, of a bound's inverse."""
+    """(6, 6) of position along world axes and of rotation about the camera's, of a bound's inverse."""
     return np.concatenate([position_functionals(bound.inverse), TURN])
 
 

@@ -58,6 +58,10 @@ class PoseRow(Record):
     """The other directions, each with its verdict, in words; empty at rank 6."""
     length_scale: float
     """The median visible depth [scene unit]; 1 if nothing finite is visible."""
+    size: tuple[int, ...]
+    """Width and height of the image [pixel]; 0 where the bound does not tell, as the next."""
+    fov_deg: tuple[float, ...]
+    """Angles that it spans, across and down [deg]."""
     ellipsoid: Array
     """(3,), semi-axes of the position's 1σ ellipsoid, descending, infinite where unseen [scene unit]."""
     ellipsoid_axes: Array
@@ -96,6 +100,8 @@ class PoseRow(Record):
             weakest="" if bound.weakest is None else bound.weakest.description,
             not_seen="; ".join(f"{u.description} ({u.verdict})" for u in bound.unobserved),
             length_scale=bound.length_scale,
+            size=tuple(facts.get("size", (0, 0))),
+            fov_deg=tuple(facts.get("fov_deg", (0.0, 0.0))),
             ellipsoid=semi_axes,
             ellipsoid_axes=directions,
             ellipsoid_verdict=bound.verdicts_along("position", directions),
@@ -157,6 +163,8 @@ class PoseRow(Record):
             "weakest": self.weakest,
             "not_seen": self.not_seen,
             "length_scale": self.length_scale,
+            **dict(zip(_SIZE, self.size, strict=True)),
+            **dict(zip(_FOV, self.fov_deg, strict=True)),
         }
         for k, name in enumerate(_ELLIPSOID):
             x, y, z = self.ellipsoid_axes[:, k].tolist()
@@ -195,6 +203,8 @@ class PoseRow(Record):
             weakest=str(values["weakest"]),
             not_seen=str(values["not_seen"]),
             length_scale=float(values["length_scale"]),
+            size=tuple(int(values[name]) for name in _SIZE),
+            fov_deg=tuple(numbers(*_FOV).tolist()),
             ellipsoid=numbers(*_ELLIPSOID),
             ellipsoid_axes=np.stack(axes, axis=1),
             ellipsoid_verdict=_verdicts(values, _ELLIPSOID),
@@ -210,6 +220,7 @@ def _lines(texts: Iterable[str]) -> tuple[str, ...]:
     return tuple(" ".join(text.split()) for text in texts)
 
 
+_SIZE, _FOV = ("width", "height"), ("fov_x_deg", "fov_y_deg")
 _PARTS = ("", "_error", "_lower_limit")
 
 

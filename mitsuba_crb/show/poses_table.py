@@ -52,10 +52,8 @@ def print_poses(
     compared = [row for row in table.rows if not math.isnan(row.psnr_db)]
     if compared:
         print_line(console, *_likeness(compared, len(table.rows)))
-    size = table.settings.get("size") or (table.settings.get("camera") or {}).get("size")
     scene = Text(str(table.settings.get("scene", "")).rpartition("/")[2], style="bold")
-    pixels = "" if size is None else f"  {size[0]}×{size[1]} pixels"
-    print_line(console, scene, pixels, lens(table.settings), f"  {_poses(table.asked)}")
+    print_line(console, scene, _camera(table.rows), lens(table.settings), f"  {_poses(table.asked)}")
     for text, n in Counter(text for row in table.rows for text in row.no_bound).items():
         print_line(console, Text("no bound: ", style="bold red"), f"{text}{_times(n, len(table.rows))}")
     if table.interrupted:
@@ -242,6 +240,15 @@ def _paths(settings: dict[str, Any]) -> str:
 def _listed(names: list[str]) -> str:
     more = ", …" if len(names) > _NAMED else ""
     return f"{_poses(len(names))} ({', '.join(names[:_NAMED])}{more})"
+
+
+def _camera(rows: Sequence[PoseRow]) -> str:
+    """Pixels and field of view, behind two blanks; what all have in common."""
+    views = {(row.size, tuple(round(angle, 1) for angle in row.fov_deg)) for row in rows}
+    if len(views) > 1:
+        return "  several cameras"
+    (((width, height), (across, down)),) = views
+    return f"  {width}×{height} pixels  {across:.1f}°×{down:.1f}° field of view"
 
 
 def _poses(n: int) -> str:
