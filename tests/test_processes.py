@@ -66,6 +66,7 @@ def _cores_and_threads(_: int) -> tuple[int, int, int]:
     return os.getpid(), processes.cores(), dr.thread_count()
 
 
+@pytest.mark.slow
 def test_workers_share_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(processes, "cores", lambda: 7)
     before = dr.thread_count()

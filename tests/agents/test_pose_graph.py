@@ -339,6 +339,7 @@ class TestManyPoses:
                 poses[k] = dataclasses.replace(poses[k], matrix=matrix, covariance_of_entries=covariance)
         return poses, world.links + links
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("absolute", [True, False])
     def test_the_sparse_way_gives_the_dense_way_s_numbers(self, monkeypatch, absolute):
         poses, links = self._graph(19, 40, absolute=absolute)
@@ -353,6 +354,7 @@ class TestManyPoses:
             assert np.abs(a.matrix - b.matrix).max() <= 1e-8 * np.abs(b.matrix).max()
             assert np.abs(a.standard_error - b.standard_error).max() <= 1e-6 * np.abs(b.matrix).max()
 
+    @pytest.mark.slow
     def test_a_thousand_poses_take_seconds_and_stay_sparse(self):
         poses, links = self._graph(20, 1000, absolute=False)
         graph = PoseGraph(poses, links)

@@ -460,6 +460,7 @@ class TestEllipsoid:
 
 
 class TestStandardErrors:
+    @pytest.mark.slow
     @pytest.mark.parametrize("unseen", [(), ([0, 0, 0, 0, 0, 1],)])
     @pytest.mark.parametrize("length_scale", [1.0, pytest.param(4.0, marks=pytest.mark.slow)])
     def test_they_are_the_scatter_of_repetitions(self, unseen, length_scale):
@@ -565,6 +566,7 @@ class TestPrior:
         assert partial.rank == 2
         np.testing.assert_allclose(partial.position_std, [1.0, 0.5, np.inf])
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("noise", [0.1, pytest.param(0.8, marks=pytest.mark.slow)])
     def test_it_never_makes_anything_worse(self, noise):
         """Random informations of every rank with noise, random priors of every rank and strength."""

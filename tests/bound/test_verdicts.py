@@ -94,6 +94,7 @@ class TestLowerLimits:
         assert least > 0.5 * cases
         assert max(broken.values()) <= 0.02
 
+    @pytest.mark.slow
     def test_without_the_noise_they_would_not_hold(self, monkeypatch):
         """Negative control: the median in the 99 % quantile's place."""
         monkeypatch.setattr(resolution, "CONFIDENCE", 0.5)

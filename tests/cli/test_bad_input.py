@@ -366,6 +366,7 @@ def test_faces_without_area_or_not_finite_change_nothing() -> None:
     assert values[1] == pytest.approx(values[0], abs=1e-5 * np.abs(values[0]).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "near", "cut"),
     [
@@ -388,6 +389,7 @@ def test_surfaces_that_the_near_plane_cuts_are_named(kind: str, near: float, cut
     assert len([text for text in named if "near plane" in text and "any direction" in text]) == cut
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("far", "cut"), [(10.0, True), (0.9, False), (1e4, False)])
 def test_surfaces_that_the_far_plane_cuts_are_named(far: float, cut: bool) -> None:
     """A floor that runs beyond the far plane, is wholly beyond it, or ends so far out as the horizon."""

@@ -79,6 +79,7 @@ def test_a_row_a_pose_is_printed_and_written(path: Path, tmp_path: Path, capsys:
     assert files["parquet"].read_bytes().startswith(b"PAR1")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["json", "csv"])
 def test_an_interrupted_run_goes_on_with_the_same_command(
     path: Path, tmp_path: Path, capsys: Any, counted: Callable[..., list[Any]], kind: str
@@ -104,6 +105,7 @@ def test_an_interrupted_run_goes_on_with_the_same_command(
             assert json.loads(line)["information"] == json.loads(expected)["information"]
 
 
+@pytest.mark.slow
 def test_what_is_no_bound_is_said_above_the_table(path: Path, scenes: Path, capsys: Any) -> None:
     scene = str(scenes / "checkerboard_wall" / "checkerboard_wall.xml")
     np.save(path, np.load(path)[:2])

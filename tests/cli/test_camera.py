@@ -61,6 +61,7 @@ def test_many_poses_name_the_lens(calibration: Any, tmp_path: Path, capsys: Any)
     assert "32×24 pixels  1 pose\n" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_check_and_validate_take_it_too(calibration: Any, capsys: Any) -> None:
     lens = ["--camera", calibration(FISHEYE)]
     assert cli.run(["check", WALL, *lens, "--max-spp", "64"]) in (0, 3)

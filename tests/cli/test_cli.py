@@ -166,6 +166,7 @@ def test_table_says_what_is_not_resolved_above_the_numbers(rendered, capsys):
     assert f"note: not resolved: {bound.not_resolved}" not in out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frame", ["camera", "world"])
 def test_all_outputs_are_written_and_agree(rendered, capsys, tmp_path, frame):
     files = {name: tmp_path / f"out.{name}" for name in ("json", "exr", "plot")}
@@ -588,6 +589,7 @@ def test_a_message_is_one_line_of_what_a_terminal_can_show(capsys):
     assert capsys.readouterr().err == "mitsuba-crb: a b c \ufffd[2J\ufffd\n"
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")  # few samples
 def test_tables_and_pictures_keep_the_brackets_of_names(capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")

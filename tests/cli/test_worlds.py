@@ -41,6 +41,7 @@ def test_a_bound_of_a_world_says_its_light(
     assert "radiance 1 from everywhere (--light constant:1)" in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.slow
 def test_a_world_in_the_dark_is_said_to_be_dark(
     room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -53,6 +54,7 @@ def test_a_world_in_the_dark_is_said_to_be_dark(
     assert "--light baked" in out
 
 
+@pytest.mark.slow
 def test_many_poses_say_their_worlds_light_once(
     room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -80,6 +82,7 @@ def test_many_poses_are_of_one_world(room: Path, tmp_path: Path) -> None:
     assert len((tmp_path / "a.csv").read_text().splitlines()) == 4
 
 
+@pytest.mark.slow
 def test_check_and_fuse_take_worlds(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["check", str(room), "--pose", POSE, "--size", "16x12", "--light", "baked", "--spp", "64"]
     assert cli.run(command) in (0, 3)

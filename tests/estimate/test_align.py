@@ -137,6 +137,7 @@ def test_nearby_starts_find_the_truth_in_a_furnished_room(scenes: Path) -> None:
     assert stats.binomtest(right, len(found.trials), 0.9, alternative="greater").pvalue < 0.05
 
 
+@pytest.mark.slow
 def test_inerfs_recipe_comes_close(textured: Any, truth: Anchor) -> None:
     """In what the image shows: along the valley of the weakest direction a first-order method creeps."""
     options: dict[str, Any] = {"anchor": truth, "spp": 16, "pose": _start(truth, 0.05, 1.0)}
@@ -190,6 +191,7 @@ def test_chosen_pixels_are_the_measurement(textured: Any, truth: Anchor, pixels:
     assert _nees(found, truth) < 28.0 * (1.0 + found.excess)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", ["gauss_newton", "levenberg_marquardt", "adam"])
 def test_what_is_not_finite_in_the_scene_is_left_out_on_request(truth: Anchor, estimator: str) -> None:
     """The measured image shows what is there."""

@@ -45,6 +45,7 @@ def mitsuba_s_image(sensor, points):
 
 
 class TestCorners:
+    @pytest.mark.slow
     def test_points_lie_on_their_corners(self, room):
         """By our own pinhole and by the sensor's projection, to float32."""
         found, tracks = room
@@ -105,12 +106,14 @@ class TestCovariance:
         np.testing.assert_allclose(ratios, 1.0, atol=0.1)
         assert np.mean(ratios) == pytest.approx(1.0, abs=0.02)
 
+    @pytest.mark.slow
     def test_it_grows_with_the_image_s_noise(self):
         one, two = (feature_tracks(textured_wall(), Gaussian(sigma), **SMALL) for sigma in (0.01, 0.02))
         np.testing.assert_allclose(two.view.noise, 4.0 * one.view.noise, rtol=1e-9)
 
 
 class TestAgainstTheImage:
+    @pytest.mark.slow
     def test_points_tell_less_than_the_image_and_about_what_their_windows_tell(self, room):
         """Directions in generalised eigenvalues; the windows' excess is explained in `tracks`."""
         found, tracks = room

@@ -33,6 +33,7 @@ from mitsuba_crb.show.trials_table import print_validation
 OPTIONS: dict[str, Any] = {"size": (16, 12), "spp": 32, "sigma": 0.005, "perturb_deg": 0.2, "seed": 5}
 
 
+@pytest.mark.slow
 def test_gauss_newton_attains_the_bound_and_another_sigma_is_found_out(tmp_path: Path) -> None:
     options = OPTIONS | {"trials": 24, "confidence": 0.999, "resume": tmp_path / "trials.json"}
     found = validate(textured_wall(), **options)
@@ -50,6 +51,7 @@ def test_gauss_newton_attains_the_bound_and_another_sigma_is_found_out(tmp_path:
     assert {"nees_band", "generalized_eigenvalues", "wishart_band", "coverage"} <= document.keys()
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_resumes_to_the_same_result(tmp_path: Path) -> None:
     file = tmp_path / "trials.json"
     whole = validate(textured_wall(), trials=8, **OPTIONS)
@@ -90,6 +92,7 @@ def test_what_the_method_cannot_see_is_said_once_even_if_a_trial_fails(
     assert len(said) == len(set(said))
 
 
+@pytest.mark.slow
 def test_a_smaller_number_of_trials_loses_none(tmp_path: Path) -> None:
     file = tmp_path / "trials.json"
     many = validate(textured_wall(), trials=10, resume=file, **OPTIONS)

@@ -702,6 +702,7 @@ class TestFisherInformation:
             rtol=1e-12,
         )
 
+    @pytest.mark.slow
     def test_it_is_the_variance_of_the_score(self):
         """Second oracle for F: Cov of ∂ log p(I | ξ)/∂ξ over 20000 noisy images, to 4 errors of 1 %."""
         view = PlaneView(POSE)

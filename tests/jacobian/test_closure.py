@@ -219,6 +219,7 @@ def test_the_step_for_a_filter_hides_little_of_an_edge() -> None:
         assert misfit[1] > 1.9 * misfit[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spp", [64, 1024])
 def test_a_bound_by_finite_differences_on_a_box_film_is_flow_s_within_its_errors(spp: int) -> None:
     sensor = camera(24, 18)

@@ -241,6 +241,7 @@ def test_few_paths_per_batch_stay_unbiased(name: str, per_batch: int) -> None:
 # The image
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["gaussian", *(pytest.param(n, marks=pytest.mark.slow) for n in ("mitchell", "tent"))]
 )
@@ -486,6 +487,7 @@ def test_diffuse_flat_scenes_need_no_view_term() -> None:
 # Tiles
 
 
+@pytest.mark.slow
 def test_tiles_change_nothing_and_calls_repeat_bit_for_bit_with_contours(scenes: Path) -> None:
     options: dict[str, Any] = {"spp": 16, "size": (48, 40)}
     boxes, sigma = scenes / "boxes" / "boxes.xml", Gaussian(0.01)
@@ -553,6 +555,7 @@ KERNEL_SCENES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KERNEL_SCENES)
 def test_twenty_views_run_the_kernels_of_the_first(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Poses (some that see nothing), sizes of tiles, subsets, seeds and sample counts, all at random.

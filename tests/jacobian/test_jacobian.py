@@ -37,6 +37,7 @@ def _ramp_wall() -> dict[str, Any]:
     return scene(wall=shape, sensor=camera(17, 17, target=(0, 0, 1)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["finite_difference", "forward"])
 def test_a_ramp_on_a_plane_has_the_closed_form_jacobian(method: str) -> None:
     """L = a + b X, X the wall point of a film point: to 1 % along the expected pattern, 3 % rms per pixel."""

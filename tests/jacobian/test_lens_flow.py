@@ -134,6 +134,7 @@ def test_a_constant_picture_does_not_change(lens: str, monkeypatch: pytest.Monke
     assert sum(found.provenance["finite_differences"]["blocks"].values()) >= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lens", ["fisheye", pytest.param("barrel", marks=pytest.mark.slow)])
 def test_forward_mode_needs_the_film_map_alone(lens: str) -> None:
     """A smooth wall, where it is right: within 4 combined standard errors."""
@@ -147,6 +148,7 @@ def test_forward_mode_needs_the_film_map_alone(lens: str) -> None:
     assert np.all(np.abs(flow_.matrix - forward.matrix) < 4.0 * error + 0.01 * np.outer(root, root))
 
 
+@pytest.mark.slow
 def test_an_image_through_a_lens_is_aligned_through_it() -> None:
     """Its error is what the bound foretells: χ² of six is below 22.5 in 99.9 % of cases."""
     noise, lens = Gaussian(0.02), SMALL["barrel"]

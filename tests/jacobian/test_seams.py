@@ -6,6 +6,7 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
+import pytest
 from matrices import misfit
 from one_go import measured
 from small_scenes import T, camera
@@ -68,6 +69,7 @@ def test_a_seam_on_a_border_of_pixels_tells_nothing() -> None:
     assert misfit(on, aside) < 0.05
 
 
+@pytest.mark.slow
 def test_a_silhouette_on_a_border_of_pixels_counts_in_one_of_them() -> None:
     board = {
         "type": "rectangle",

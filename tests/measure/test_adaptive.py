@@ -143,6 +143,7 @@ def test_a_scene_that_no_number_of_paths_resolves_ends_with_limits() -> None:
     assert (limits > 0.0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [

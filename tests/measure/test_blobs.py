@@ -94,6 +94,7 @@ class TestManyBlobs:
         view = PointView("camera", np.eye(4), CAMERA, centroid_std(GAINS, width))
         return eigvalsh(pixels.matrix, point_information(POINTS, view).matrix)
 
+    @pytest.mark.slow
     def test_pixels_tell_what_points_tell_as_blobs_shrink(self):
         """Overlap falls as exp(−d²/4s²), d ≥ 37 pixels; the film's border cuts the widest blobs."""
         departures = [np.abs(self._shares(width) - 1.0).max() for width in (16.0, 8.0, 4.0, 2.0)]

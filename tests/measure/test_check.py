@@ -53,6 +53,7 @@ def board(name: str) -> dict[str, Any]:
     return {"type": "scene", "camera": sensor, "board": shape}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["box", "tent", "gaussian"])
 def test_flow_is_never_found_wrong_where_it_is_right_whatever_the_film(
     name: str, monkeypatch: pytest.MonkeyPatch
@@ -73,6 +74,7 @@ def test_flow_is_never_found_wrong_where_it_is_right_whatever_the_film(
     assert wrong.rows[0].disagrees[:3].all()
 
 
+@pytest.mark.slow
 def test_as_many_paths_as_it_says_decide() -> None:
     wall = textured_wall(sensor=camera(24, 16))
     few = check_jacobian(wall, spp=16, seed=2)
@@ -84,6 +86,7 @@ def test_as_many_paths_as_it_says_decide() -> None:
     assert (many.verdict, many.paths, many.cure) == ("agree", None, "")
 
 
+@pytest.mark.slow
 def test_without_a_number_of_paths_it_goes_on_until_it_can_tell(
     monkeypatch: pytest.MonkeyPatch, scenes: Path
 ) -> None:
@@ -227,6 +230,7 @@ def test_methods_that_do_not_exist_are_named() -> None:
             check_jacobian(textured_wall(), methods=methods)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "words", "seen_at_most"),
     [

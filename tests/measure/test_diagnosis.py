@@ -101,6 +101,7 @@ def test_an_end_after_the_last_report_still_fails():
     assert rows[-1].value == "at the end"
 
 
+@pytest.mark.slow
 def test_a_trial_that_hangs_is_given_up():
     rows = doctor._try(f"{REPORT} import time; _report('3.9'); time.sleep(60)", patience=3)
     assert [row.ok for row in rows] == [True, False, False]

@@ -58,6 +58,7 @@ def test_each_bound_is_that_of_its_pose_alone(options: dict[str, Any]) -> None:
         assert same(bound, pose_bound(WORLD, pose=pose, exposure=white, **options))
 
 
+@pytest.mark.slow
 def test_a_calibration_takes_the_sensor_s_place_at_every_pose() -> None:
     lens = Intrinsics((24, 18), (25.0, 26.0), (11.5, 9.25), "opencv", (-0.1, 0, 0, 0, 0, 0, 0, 0))
     options: dict[str, Any] = {"spp": 16, "camera": lens}
@@ -92,6 +93,7 @@ def test_bounds_do_not_depend_on_the_order_of_the_poses() -> None:
         assert same(bound, again)
 
 
+@pytest.mark.slow
 def test_nuisances_and_a_prior_are_those_of_a_single_bound() -> None:
     plain = scene(wall=wall(texture()), ball={"type": "sphere", "center": [0.4, 0.3, 2.5], "radius": 0.3})
     plain["ball"]["bsdf"] = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.8, 0.3, 0.2]}}
@@ -101,6 +103,7 @@ def test_nuisances_and_a_prior_are_those_of_a_single_bound() -> None:
         assert same(bound, expected)
 
 
+@pytest.mark.slow
 def test_all_poses_have_one_exposure_unless_each_is_to_have_its_own() -> None:
     def whites(poses: Sequence[Any], **more: Any) -> set[float]:
         return {bound.provenance["noise"]["white"] for bound in pose_bounds(WORLD, poses, **FEW, **more)}
@@ -218,6 +221,7 @@ def test_an_answer_of_an_interrupted_round_is_no_row(monkeypatch: pytest.MonkeyP
     assert len(pose_table(WORLD, PATH, **FEW).rows) == 1
 
 
+@pytest.mark.slow
 def test_settings_tell_runs_apart_whose_rows_would_differ() -> None:
     def settings(poses: Any = PATH[:1], world: Any = WORLD, **more: Any) -> str:
         found = pose_table(world, poses, **FEW | more).settings

@@ -75,6 +75,7 @@ def test_streaming_equals_assembling_and_calls_repeat_bit_for_bit() -> None:
     assert np.isfinite(jacobian.image).all()
 
 
+@pytest.mark.slow
 def test_tiles_and_pixel_order_do_not_change_the_result() -> None:
     whole = pose_bound(textured_wall(), SIGMA, size=(40, 35), **FAST).information
     for tile in (16, 32):

@@ -120,6 +120,7 @@ LENSES = {
 
 
 class TestIntrinsics:
+    @pytest.mark.slow
     @pytest.mark.parametrize("lens", LENSES)
     def test_columns_are_finite_differences_of_renders(self, lens: str) -> None:
         """Within 5 %: Monte Carlo errors of 1 %, and the difference's own bias of 1 % at 0.15 pixels."""
@@ -148,6 +149,7 @@ class TestIntrinsics:
         expected = -np.radians(1.0) / np.sin(angle) * (f[0] * fx + f[1] * fy)
         np.testing.assert_allclose(fov, expected, atol=1e-4 * np.abs(expected).max())
 
+    @pytest.mark.slow
     def test_a_thin_lens_has_them_by_every_method(self) -> None:
         sensor = camera(24, 16) | {"type": "thinlens", "aperture_radius": 0.1, "focus_distance": 2.5}
         columns = [
@@ -156,6 +158,7 @@ class TestIntrinsics:
         ]
         assert _ratio(*(values[..., 6] for values in columns)) == pytest.approx(1.0, abs=0.06)
 
+    @pytest.mark.slow
     def test_a_lens_that_may_be_none_costs_what_its_coefficients_are_worth(self) -> None:
         """Coefficients that are zero and not known; those of a model that the camera has not are refused."""
         zero = Intrinsics((24, 16), (29.0, 29.0), (12.0, 8.0), "opencv", (0.0,) * 8)
@@ -259,6 +262,7 @@ class TestRandomNumbers:
         each = products.sum(axis=(1, 2))
         return float(each.mean() / (each.std(ddof=1) / np.sqrt(self.seeds)))
 
+    @pytest.mark.slow
     def test_different_batches_of_any_two_kernels_are_independent(self) -> None:
         """Within 4 standard errors; the same batches in other places are the negative control, at 10."""
         measured = self._measured()
@@ -302,6 +306,7 @@ class TestCost:
             warnings.simplefilter("error", NuisanceWarning)
             pose_bound(_scene(behind=behind), SIGMA, spp=16, nuisances=("gain",))
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("names", [("gain:8",), ("gain:8", "black:8", "fov")])
     def test_a_tile_that_noise_hides_is_a_tile_left_out(self, names: tuple[str, ...]) -> None:
         variance = np.full((16, 24), 1e-4)
@@ -342,6 +347,7 @@ class TestRandomPixels:
         with pytest.raises(AssertionError, match="rendered"):  # negative control
             run(_scene(), nuisances=self.names, pixels="random:1")
 
+    @pytest.mark.slow
     def test_other_subsets_and_other_nuisances_are_measured(self) -> None:
         for names, chosen in (
             (self.names, "random:1"),

@@ -34,6 +34,7 @@ def test_the_table_lists_every_scene() -> None:
     assert all(infinite <= set(NAMES) for _, infinite in TABLE.values())
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")
 @pytest.mark.parametrize("name", sorted(TABLE))
 def test_rank_and_infinities_are_those_of_the_table(name: str, scenes: Path) -> None:
@@ -46,6 +47,7 @@ def test_rank_and_infinities_are_those_of_the_table(name: str, scenes: Path) -> 
     assert np.all(deviations > 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")  # nothing of it is resolved
 def test_what_a_white_wall_and_the_sky_hide_is_said_in_words(scenes: Path) -> None:
     wall = pose_bound(scenes / "white_wall" / "white_wall.xml", spp=8, size=(32, 24))

@@ -26,6 +26,7 @@ def wall(scenes: Path) -> Path:
     return scenes / "textured_wall" / "textured_wall.xml"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [None, Gaussian(0.02)])
 def test_what_is_asked_beside_a_bound_leaves_it_as_it_is(wall: Path, noise: Gaussian | None) -> None:
     told: list[tuple[int, int]] = []

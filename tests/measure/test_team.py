@@ -142,6 +142,7 @@ class TestWarehouse:
         assert np.all(np.abs(flow.matrix - reference.matrix) < slack)
 
 
+@pytest.mark.slow
 def test_a_rendered_rig_s_joint_information_is_that_of_its_images_stacked_and_moved_as_one_body() -> None:
     """The oracle moves the body, renders all four cameras anew, and treats their images as one."""
     world_from_body = se3.exp([0.2, -0.1, 0.0, 0.1, 0.2, -0.1])
@@ -229,11 +230,13 @@ class TestProcesses:
         with pytest.raises(OptionError, match="worker"):
             fuse_team(load_team(path), workers=0)
 
+    @pytest.mark.slow
     def test_a_process_that_dies_is_reported(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(team_measure, "_bound", _dies)
         with pytest.raises(WorkerError, match="--workers"):
             fuse_team(load_team(written(tmp_path)), workers=2)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("name", "measured", "workers"),
         [
@@ -348,6 +351,7 @@ class TestSelect:
         asked = select_team(team, Budget(tiles_per_agent=3), workers=1)
         assert len(asked.selection.chosen) == 6
 
+    @pytest.mark.slow
     def test_byte_budgets_have_a_curve_over_bytes_and_too_large_ones_are_fine(self, tmp_path: Path) -> None:
         team = load_team(written(tmp_path, '[tiles]\nsize = 16\nprecision = "float16"\n'))
         result = select_team(team, Budget(bytes=700), workers=1)
@@ -514,6 +518,7 @@ class TestBadInput:
         assert "cannot make this folder" in refused(capsys, "select", path, "--plot", nowhere)
         assert "overwrite an input" in refused(capsys, "fuse", path, "--json", path)
 
+    @pytest.mark.slow
     def test_transforms_that_put_the_body_in_two_places(self, tmp_path: Path, capsys: Any) -> None:
         path = written(tmp_path, each=f"body_from_agent = {POSE}\n")
         match = r"agent 'racks' put the body .* scene units .* from where those of 'floor'"

@@ -37,6 +37,7 @@ def _scaled(information: Any) -> Any:
     return information.scale[:, None] * information.matrix * information.scale
 
 
+@pytest.mark.slow
 def test_each_half_is_the_information_of_the_tile_s_pixels_from_its_batches(jacobian: Any) -> None:
     """The oracle assembles a Jacobian cut to the tile's pixels and to half of the batches."""
     own = tile_information(textured_wall(), SIGMA, tile_size=(16, 12), **FAST)
@@ -57,6 +58,7 @@ def test_each_half_is_the_information_of_the_tile_s_pixels_from_its_batches(jaco
     assert found.length_scale == jacobian.length_scale
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tile_size", [7, 16, (33, 5), 1000])
 def test_tiles_of_any_size_add_up_to_the_image_whatever_the_streaming_tiles(tile_size: Any) -> None:
     found = tile_information(textured_wall(), SIGMA, tile_size=tile_size, tile=16, **FAST)

@@ -86,6 +86,7 @@ def information(camera_: Intrinsics | None, method: str = "flow", **options: Any
     ).information.matrix
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.BlindSpotWarning")
 @pytest.mark.parametrize(
     "method", ["flow", "finite_difference", pytest.param("forward", marks=pytest.mark.slow)]

@@ -52,6 +52,7 @@ def test_a_default_that_is_set_to_another_value_is_another_scene(tmp_path: Path)
     assert _of(file) == _of(file, power="1.0") != _of(file, power="1.1")
 
 
+@pytest.mark.slow
 def test_dictionaries_and_loaded_scenes_have_them_too() -> None:
     def of(scene: dict[str, object]) -> str:
         return fingerprint(mi.load_dict(scene), scene)

@@ -169,6 +169,7 @@ def test_any_id_names_a_sensor_and_a_size_is_that_of_one(tmp_path: Path) -> None
             opened(source, sensor="nobody")
 
 
+@pytest.mark.slow
 def test_the_children_of_a_batch_are_sensors_of_their_own(tmp_path: Path) -> None:
     parts = [
         sensor('<float name="fov" value="60"/>' + film(64, 64), name)
@@ -200,6 +201,7 @@ def test_a_child_of_a_batch_sees_what_the_batch_shows_whatever_its_axis(tmp_path
     assert view.camera.field_of_view_deg[0] == pytest.approx(float(expected[0]), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_alpha_measures_nothing_and_luminance_a_third_of_a_grey_scene(tmp_path: Path) -> None:
     found = {}
     for name in ("rgb", "rgba", "luminance", "luminance_alpha"):
@@ -215,6 +217,7 @@ def test_alpha_measures_nothing_and_luminance_a_third_of_a_grey_scene(tmp_path: 
     )
 
 
+@pytest.mark.slow
 def test_luminance_of_a_coloured_scene_is_that_of_its_weighted_sum() -> None:
     """Red 0.2126, green 0.7152, blue 0.0722: a scene of one colour is a grey one times that weight."""
     luminance = camera(24, 18)
@@ -229,6 +232,7 @@ def test_luminance_of_a_coloured_scene_is_that_of_its_weighted_sum() -> None:
         assert found == pytest.approx(grey * weight**2, rel=1e-3, abs=1e-3 * weight**2 * grey.max())
 
 
+@pytest.mark.slow
 def test_pictures_of_a_luminance_film_are_of_its_one_channel(tmp_path: Path) -> None:
     """Their information adds up to the bound's, with the noise that was given and with the default."""
     luminance = '<string name="pixel_format" value="luminance"/>'
@@ -331,6 +335,7 @@ def test_what_is_not_needed_is_left_out_in_one_warning(tmp_path: Path) -> None:
     assert len(told) == 1
 
 
+@pytest.mark.slow
 def test_a_parameter_of_one_of_two_equal_materials_is_its_alone() -> None:
     board = {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.8}}}
     move = mi.ScalarTransform4f
@@ -352,6 +357,7 @@ def test_a_parameter_of_one_of_two_equal_materials_is_its_alone() -> None:
     assert "object_" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_a_scene_beyond_the_far_plane_is_said_to_be(tmp_path: Path) -> None:
     file = written(tmp_path, sensor('<float name="far_clip" value="1.5"/>' + film(16, 16)))
     with pytest.warns(SceneWarning, match=r"256 of 256 rays.*from 2, beyond far_clip 1\.5"):

@@ -214,6 +214,7 @@ OTHERS: list[dict[str, Any]] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("several", "tracings"),
     [(VIEWS, 5), pytest.param(OTHERS, 8, marks=pytest.mark.slow)],
@@ -244,6 +245,7 @@ def test_views_seeds_subsets_and_sizes_are_what_tracing_gives(
         assert np.array_equal(second, expected), options
 
 
+@pytest.mark.slow
 def test_other_scenes_come_and_go(traced: Callable[..., np.ndarray]) -> None:
     """Their materials are targets of every kernel's calls as long as they live."""
     first = mi.load_dict({name: part for name, part in SCENE.items() if name not in ("box", "rod")})
@@ -334,6 +336,7 @@ class Grey(mi.BSDF):
         return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
 
 
+@pytest.mark.slow
 def test_what_python_objects_hold_is_never_baked_in() -> None:
     mi.register_bsdf("grey", Grey)
     material = Grey(mi.Properties("grey"))
@@ -343,6 +346,7 @@ def test_what_python_objects_hold_is_never_baked_in() -> None:
     assert ours(which) == pytest.approx(0.5 * before, rel=1e-4, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_parameter_without_a_value_is_no_obstacle() -> None:
     hair = {"type": "hair", "eumelanin": 0.2, "pheomelanin": 0.4}
     strand = {"type": "cylinder", "p0": [-0.5, 0, 2], "p1": [0.5, 0, 2], "radius": 0.2, "bsdf": hair}

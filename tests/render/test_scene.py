@@ -279,6 +279,7 @@ def test_threads_take_turns_with_a_sensor() -> None:
         assert all(np.array_equal(found, expected) for found in pool.map(pose, range(8)))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")
 def test_threads_that_measure_one_scene_get_the_bits_of_one_thread() -> None:
     """Also while one of them sets the scene's parameters for its finite differences."""

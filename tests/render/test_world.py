@@ -206,6 +206,7 @@ def test_lamps_of_a_file_light_it_as_they_should(kind: str, tmp_path: Path) -> N
     assert image(lit(tmp_path / "a.glb")).mean() == pytest.approx(0.5, rel=WEIGHTS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("up", "axis"), [("z", 2), ("y", 1), ("x", 0), ("-y", -1)])
 def test_the_sky_is_where_up_says(up: str, axis: int, tmp_path: Path) -> None:
     file = textured(tmp_path / "a.glb", np.zeros((2, 2, 3), np.uint8))
@@ -254,6 +255,7 @@ def test_a_world_without_a_camera_asks_for_a_pose(tmp_path: Path) -> None:
         pass
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")
 def test_information_is_that_of_the_same_scene_in_xml(tmp_path: Path) -> None:
     """A textured square before the sky: inside by its texture, at its border by the parallax term."""

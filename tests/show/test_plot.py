@@ -266,6 +266,7 @@ def test_plotting_touches_no_global_state(tmp_path):
     assert height > 900
 
 
+@pytest.mark.slow
 def test_pyplot_is_never_imported():
     code = "import sys, mitsuba_crb.show.bound_page; sys.exit('matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
