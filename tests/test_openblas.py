@@ -42,6 +42,7 @@ def test_kernels_that_the_processor_cannot_run_are_skipped_by_name(tmp_path: Pat
     assert "passed" not in run.stdout
 
 
+@pytest.mark.slow
 def test_what_imports_mitsuba_is_skipped_where_that_is_asked_for() -> None:
     files = ("test_se3.py", "render/test_sobol.py")
     run = _run("-m", "pytest", "-q", "-rs", "--without-mitsuba", *files)

@@ -96,6 +96,7 @@ def test_only_cores_that_the_process_may_run_on_count() -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.BlindSpotWarning")
 @pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")
 @pytest.mark.parametrize("method", ["flow", "forward", "finite_difference"])

@@ -67,6 +67,7 @@ def _run(code: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("snippet", SNIPPETS)
 def test_snippets_with_sorted_imports_get_an_llvm(snippet: str) -> None:
     done = _run(_imports(_sorted(snippet)) + READY)

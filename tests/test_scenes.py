@@ -35,6 +35,7 @@ def test_scene_renders_finite_pixels(name):
     assert image.mean() > 0.05
 
 
+@pytest.mark.slow
 def test_the_script_reproduces_the_committed_files(tmp_path, monkeypatch):
     """All but the sky, which takes as long as all others."""
     monkeypatch.syspath_prepend(SCENES)

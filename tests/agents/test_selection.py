@@ -87,6 +87,7 @@ def within(limits: Limits, problem: Problem, tiles) -> bool:
 # --- 200 random instances beside enumeration ---
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("objective", list(OBJECTIVES))
 def test_for_counts_choices_reach_nine_tenths_of_the_optimum_and_certificates_are_close(objective, kind):
@@ -145,6 +146,7 @@ def test_certificates_of_the_smallest_eigenvalue_are_valid(kind):
         assert kind != "full rank" or bound - 1.0 <= 1.25 * (best - 1.0)
 
 
+@pytest.mark.slow
 def test_a_certificate_of_many_tiles_needs_no_branching():
     rng = np.random.default_rng(23)
     problem = random_problem(rng, "few rows", 1000, tiles=60.0)

@@ -27,6 +27,7 @@ def _errors(rng: Any, information: FisherInformation, n: int, scale: float = 1.0
     return scale * rng.standard_normal((n, 6)) @ root.T
 
 
+@pytest.mark.slow
 def test_errors_with_the_bounds_covariance_are_inside_as_often_as_stated() -> None:
     rng = np.random.default_rng(1)
     names = ("nees", "eigenvalues", *LEVELS)

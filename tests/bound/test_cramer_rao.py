@@ -309,6 +309,7 @@ class TestUnseenDirections:
         # Beyond three standard errors on one of 5 axes: 1.3 % of runs.
         assert spurious <= 5
 
+    @pytest.mark.slow
     def test_standard_error_of_a_share_is_the_scatter_of_repetitions(self):
         rng = np.random.default_rng(16)
         J = rng.normal(size=(150, 3, 6)) @ np.diag([1, 0.0, 1, 1, 1, 1])
@@ -407,6 +408,7 @@ class TestWords:
             assert words[2].startswith("translation along (")
             assert "together with" in words[3]
 
+    @pytest.mark.slow
     def test_noise_does_not_hide_the_name(self):
         rng = np.random.default_rng(17)
         N = np.linalg.qr(np.array([[*R[1], 0, 0, 0], [0, 0, 0, 0, 0, 1.0]]).T)[0]

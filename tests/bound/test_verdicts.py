@@ -117,6 +117,7 @@ class TestLowerLimits:
         np.testing.assert_allclose(bound.position_std_lower_limit, bound.position_std, rtol=1e-9)
         np.testing.assert_allclose(bound.rotation_std_deg_lower_limit, bound.rotation_std_deg, rtol=1e-9)
 
+    @pytest.mark.slow
     def test_a_prior_lowers_them(self):
         rng = np.random.default_rng(4)
         for _ in range(30):

@@ -208,6 +208,7 @@ def test_parquet_is_refused_before_anything_is_measured_if_it_cannot_be_written(
     assert calls == []
 
 
+@pytest.mark.slow
 def test_the_rows_are_whole_where_there_is_no_terminal_and_fit_where_there_is_one(
     path: Path, tmp_path: Path, capsys: Any
 ) -> None:

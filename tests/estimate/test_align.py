@@ -212,6 +212,7 @@ def test_what_is_not_finite_in_the_scene_is_left_out_on_request(truth: Anchor, e
         assert _nees(found, truth) < 28.0 * (1.0 + found.excess)
 
 
+@pytest.mark.slow
 def test_noise_of_every_pixel_is_reduced_with_the_image(textured: Any, truth: Anchor) -> None:
     """Values of infinite variance matter on no level, nor do they take others with them."""
     variance = np.full((*SIZE[::-1], 3), SIGMA.sigma**2)
@@ -262,6 +263,7 @@ def test_the_estimate_is_not_biased_by_the_renderers_noise(textured: Any, truth:
     assert 3.6 < nees < 9.0  # 99.9 % of χ²_120 / 20
 
 
+@pytest.mark.slow
 def test_the_bound_at_the_estimate_is_the_measurements_also_where_noise_depends_on_the_image() -> None:
     """To the error of the Jacobian that the search has measured near there."""
     edges = scene(wall=wall({"type": "checkerboard", "to_uv": mi.ScalarTransform4f().scale(8)}))

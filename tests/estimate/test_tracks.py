@@ -173,6 +173,7 @@ class TestBadInput:
         with pytest.raises(PointsError, match="found 0 corners"):
             feature_tracks(scene(wall=wall()), SIGMA, **SMALL)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("point", [[0.0, 0.0, -3.0], [0.0, 9.0, 3.0], [0.0, 0.0, 5.0]])
     def test_views_that_do_not_overlap(self, point):
         """Behind the camera, outside the film, behind the wall."""

@@ -114,6 +114,7 @@ def test_a_smaller_number_of_trials_loses_none(tmp_path: Path) -> None:
     assert len(json.loads(file.read_text())["results"]) == 11
 
 
+@pytest.mark.slow
 def test_two_runs_that_write_one_file_lose_nothing_of_each_other(tmp_path: Path) -> None:
     file = tmp_path / "trials.json"
     others: list[Any] = []
@@ -198,6 +199,7 @@ def test_every_option_that_changes_a_result_is_among_the_settings(tmp_path: Path
     assert arguments == judging
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("levels", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_the_bound_is_that_of_the_pixels_that_the_estimator_has(levels: int) -> None:
     options = OPTIONS | {"size": (24, 18), "trials": 24, "confidence": 0.999, "levels": levels}

@@ -171,6 +171,7 @@ class TestCovarianceOfEntries:
             actual = accumulator._units.unbiased
             np.testing.assert_allclose(actual, expected, atol=1e-9 * np.abs(expected).max())
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(("size", "block", "common"), [((16, 32), 1, 0.0), ((48, 64), BLOCK, 0.3)])
     def test_it_is_the_covariance_of_repetitions(self, size, block, common):
         """Sample variances of 250 runs have a relative error of 9 %; 21 of them stay within 4 errors."""

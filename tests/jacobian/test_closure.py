@@ -32,6 +32,7 @@ BLOCKS = FilmBlocks.of(GRID)
 # The statistic
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("batches", [4, 5, 16])
 def test_u_is_without_bias_and_its_error_is_right_where_pixels_share_noise(batches: int) -> None:
     """2,000 trials of noise that all pixels of a block have in common, and of a breach of 1 in one block."""
@@ -85,6 +86,7 @@ def test_noise_raises_few_suspects_and_no_blame() -> None:
     assert breaches(many, blocks)[7]
 
 
+@pytest.mark.slow
 def test_few_samples_that_make_all_pixels_errors_raise_no_blame() -> None:
     # A wave of one random phase over a block's rows, as evenly spaced samples of one edge make: two degrees
     # of freedom, and bounded.

@@ -115,6 +115,7 @@ def flush(below: float) -> dict[str, Any]:
     }
 
 
+@pytest.mark.slow
 def test_a_lamp_flush_with_a_wall_gives_no_nan_and_what_one_just_below_gives() -> None:
     """Directions from the wall to a lamp in its plane have densities whose squares are beyond float32."""
     found = []

@@ -261,6 +261,7 @@ def test_the_image_is_as_clean_as_a_plain_render(name: str) -> None:
     assert control.max() > 3.0 * error.max()
 
 
+@pytest.mark.slow
 def test_no_pixel_of_a_plain_wall_stands_out() -> None:
     """A lamp behind the camera makes noise alone: 5 standard deviations are for 1 in 500 such images."""
     light = {"type": "area", "radiance": {"type": "rgb", "value": 3.0}}
@@ -427,6 +428,7 @@ USUAL = ["prb_basic", "volpath", "prb_projective"]
 OTHERS = ["direct", "prb", "prbvolpath", "volpathmis", "direct_projective"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*USUAL, *(pytest.param(name, marks=pytest.mark.slow) for name in OTHERS)])
 def test_every_integrator_that_returns_radiance_gives_the_jacobian_of_path(name: str) -> None:
     """Slope of the projection onto `path`'s columns, to 4 standard errors of 16 batches and 1 %."""
@@ -499,6 +501,7 @@ def test_tiles_change_nothing_and_calls_repeat_bit_for_bit_with_contours(scenes:
     assert misfit(tiled.matrix, whole.matrix) < 1e-12
 
 
+@pytest.mark.slow
 def test_principal_point_and_crop_window_are_those_of_finite_differences() -> None:
     """Of a textured wall behind a box, within 4 standard errors; the plain film's information is another."""
     sensor = camera(48, 36) | {"principal_point_offset_x": 0.15, "principal_point_offset_y": -0.1}

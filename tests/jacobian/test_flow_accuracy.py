@@ -35,6 +35,7 @@ def _assert_agree(flow: FisherInformation, fd: FisherInformation, tolerance: flo
     assert np.all(np.abs(flow.matrix - fd.matrix) <= allowed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["textured_wall", "checkerboard_wall", "sky", "striped_wall", "radial_wall"])
 def test_flow_agrees_on_shipped_walls(name: str, scenes: Path) -> None:
     flow, fd = _informations(scenes / name / f"{name}.xml", (64, 64), size=(64, 48))

@@ -60,6 +60,7 @@ SCENES: dict[str, dict[str, Any]] = {
 SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("cloud", "camera in fog")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["radiance field", "radiance field of meshes", *SLOW])
 def test_rotation_is_the_filter_term_and_translation_a_difference(name: str) -> None:
     """Finite differences project onto flow's columns with slope 1, to 4 errors and 1 % of bias."""
@@ -87,6 +88,7 @@ def test_a_medium_that_the_integrator_passes_by_changes_nothing() -> None:
         assert ("media" in causes) == seen
 
 
+@pytest.mark.slow
 def test_a_thin_lens_among_volumes_leaves_rotation_to_finite_differences_too() -> None:
     """Its rotation has parallax, which needs points."""
     lens = camera(16, 12) | {"type": "thinlens", "aperture_radius": 0.2, "focus_distance": 2.5}

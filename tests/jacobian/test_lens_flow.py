@@ -124,6 +124,7 @@ def test_information_is_that_of_finite_differences(lens: str, monkeypatch: pytes
     assert np.any(np.abs(wrong) > 4.0 * error + 0.02)
 
 
+@pytest.mark.slow
 @every_lens
 def test_a_constant_picture_does_not_change(lens: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Closure holds in every block, contours of solids included, and does not without ∇ ln det D'."""

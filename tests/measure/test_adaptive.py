@@ -42,6 +42,7 @@ def _pale() -> Any:
     return mi.Bitmap(values)
 
 
+@pytest.mark.slow
 def test_the_precision_asked_for_is_reached_and_said() -> None:
     for precision in (0.1, 0.03):
         bound = pose_bound(lit(), SIGMA, precision=precision)
@@ -54,6 +55,7 @@ def test_the_precision_asked_for_is_reached_and_said() -> None:
     assert said["spp"]["least"] < said["spp"]["most"]  # some needed more than others
 
 
+@pytest.mark.slow
 def test_it_is_the_default_and_uniform_sampling_is_as_it_was() -> None:
     assert MeasurementOptions().spp is None
     own = pose_bound(lit(32, 24), SIGMA)
@@ -170,6 +172,7 @@ def test_it_goes_with_everything(options: dict[str, Any]) -> None:
     assert (np.abs(found - truth) < 4.5 * own).all()
 
 
+@pytest.mark.slow
 def test_tiles_to_choose_from_have_paths_where_they_are_needed() -> None:
     seen: list[int] = []
 
@@ -194,6 +197,7 @@ def test_progress_counts_all_rounds_and_the_last_ends_it() -> None:
     assert all(each.paths > 0 and each.ahead > 0 for each in rounds)
 
 
+@pytest.mark.slow
 def test_an_interrupted_answer_is_that_of_the_round_before() -> None:
     def stop(*_: Any) -> None:
         raise KeyboardInterrupt

@@ -137,6 +137,7 @@ def test_columns_that_nobody_sees_do_not_count() -> None:
     assert np.all(np.isnan(plain.rows[0].ratio))
 
 
+@pytest.mark.slow
 def test_what_the_reference_does_not_see_is_no_alarm_and_no_agreement(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -28,6 +28,7 @@ def unusable() -> llvm.LLVMLibrary:
     raise LLVMError("LLVM is too old. Install one: like this")
 
 
+@pytest.mark.slow
 def test_everything_works_where_the_tests_run():
     diagnosis = doctor.diagnose()
     assert diagnosis.ok, str(diagnosis)

@@ -109,6 +109,7 @@ class TestTheRule:
 class TestALampInView:
     """A thousand times as bright as the wall, in one pixel of a hundred."""
 
+    @pytest.mark.slow
     def test_the_wall_is_seen_by_default_as_by_a_camera_that_is_said_to_clip(self) -> None:
         bound = pose_bound(lamp(500.0), spp=64)
         facts = bound.provenance["noise"]
@@ -122,6 +123,7 @@ class TestALampInView:
         given = pose_bound(lamp(500.0), exposure=facts["white"], spp=64)
         assert np.array_equal(given.information.matrix, bound.information.matrix)
 
+    @pytest.mark.slow
     def test_without_clipping_the_lamp_drowns_the_wall(self) -> None:
         """The negative control."""
         clipped, bare = (pose_bound(lamp(500.0), clip=clip, spp=64) for clip in (True, False))

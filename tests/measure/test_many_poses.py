@@ -190,6 +190,7 @@ def rows_of(table: PoseTable) -> list[dict[str, Any]]:
     return [row.columns() | {"seconds": 0} for row in table.rows]
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_where_it_stopped() -> None:
     whole = pose_table(WORLD, PATH, **FEW)
     assert not whole.interrupted

@@ -62,6 +62,7 @@ def _same(a: Any, b: Any) -> None:
     assert misfit(a.covariance_of_entries, b.covariance_of_entries) < 1e-9
 
 
+@pytest.mark.slow
 def test_streaming_equals_assembling_and_calls_repeat_bit_for_bit() -> None:
     bound = pose_bound(textured_wall(), SIGMA, **FAST)
     again = pose_bound(textured_wall(), SIGMA, **FAST)
@@ -117,6 +118,7 @@ def test_gradient_pixels_carry_more_than_their_share() -> None:
     assert np.all(np.diag(rich.matrix) < 1.01 * np.diag(whole.matrix))
 
 
+@pytest.mark.slow
 def test_random_pixels_estimate_the_whole_image() -> None:
     """Each of 6 diagonal entries within 4 of its standard errors, which hold the sampling variance."""
     whole = pose_bound(textured_wall(), SIGMA, **FAST).information

@@ -100,6 +100,7 @@ class TestFilm:
             # Negative control: another column.
             assert abs(_ratio(ours[..., (column + 1) % 3], oracle) - 1.0) > 0.3
 
+    @pytest.mark.slow
     def test_other_methods_take_finite_differences_and_say_so(self) -> None:
         flow = pose_jacobian(_scene(), nuisances=self.names, spp=256)
         other = pose_jacobian(_scene(), nuisances=self.names, spp=256, method="finite_difference", seed=3)
@@ -190,6 +191,7 @@ class TestLevels:
 
 
 class TestSceneParameters:
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         "name",
         [
@@ -273,6 +275,7 @@ class TestRandomNumbers:
 
 
 class TestCost:
+    @pytest.mark.slow
     def test_adding_a_nuisance_never_improves_a_bound_and_fixing_it_undoes_that(self) -> None:
         plain = pose_bound(_scene(), SIGMA, spp=64)
         one = pose_bound(_scene(), SIGMA, spp=64, nuisances=("gain",))

@@ -127,6 +127,7 @@ class TestWarehouse:
         error = np.abs(result.fusion.information.matrix - expected).max()
         assert error < 1e-6 * np.abs(expected).max()  # poses from a float32 scene
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("name", ["camera", *AGENTS])
     def test_flow_and_finite_differences_agree_for_every_sensor(self, name: str) -> None:
         options: Any = {"sensor": name, "size": (64, 48), "spp": 64, "seed": 4}
@@ -265,6 +266,7 @@ class TestProcesses:
         assert note == "mitsuba-crb: note: racks: it sees little"
         assert error == "mitsuba-crb: agent 'racks': it is broken"
 
+    @pytest.mark.slow
     def test_what_the_joint_bound_warns_of_is_said_with_what_its_agents_have(
         self, tmp_path: Path, capsys: Any
     ) -> None:
@@ -342,6 +344,7 @@ class TestSelect:
         assert [agent["name"] for agent in found["agents"]] == ["racks", "floor"]
         assert all({"name", "rank", "share"} <= set(agent) for agent in found["agents"])
 
+    @pytest.mark.slow
     def test_budgets_of_the_file_hold_unless_one_is_asked_for(self, tmp_path: Path) -> None:
         team = load_team(written(tmp_path, "[tiles]\nsize = [16, 12]\n", each="budget = 2\nbytes = 100000\n"))
         own = select_team(team, Budget(), workers=1)

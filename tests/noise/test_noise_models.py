@@ -189,6 +189,7 @@ class TestPoissonGaussian(NoiseLaws):
         exact, gaussian = (m.weights(ORIGIN, bright) for m in (self.model, formula))
         np.testing.assert_allclose(gaussian, exact, rtol=2e-3)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("read", [0.05, 0.2, 0.7, 3.0, 40.0])
     def test_it_lies_between_the_bounds_and_falls_with_the_mean(self, read):
         model = noise.PoissonGaussian(1.0, read)

@@ -70,6 +70,7 @@ def test_unknown_variants_and_those_beside_the_one_that_is_set_are_refused():
         backend.use_mitsuba("cuda_ad_rgb")
 
 
+@pytest.mark.slow
 def test_a_scene_loaded_under_another_variant_is_named():
     code = (
         "import mitsuba_crb, mitsuba as mi\nmi.set_variant('scalar_rgb')\n"
@@ -96,6 +97,7 @@ def test_where_no_gpu_is_the_variant_that_needs_one_says_so():
     )
 
 
+@pytest.mark.slow
 def test_results_name_the_variant_and_workers_have_it():
     assert versions()["variant"] == "llvm_ad_rgb"
     prepare = backend.same_variant()

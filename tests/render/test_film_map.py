@@ -106,6 +106,7 @@ def test_a_lens_without_coefficients_is_a_pinhole_to_the_bit(method: str) -> Non
     assert not np.allclose(information(fisheye, method), expected, rtol=1e-2)
 
 
+@pytest.mark.slow
 def test_a_size_scales_the_calibration() -> None:
     large = own_intrinsics(64, 48)
     np.testing.assert_array_equal(information(large, size=(32, 24)), information(None))
@@ -128,6 +129,7 @@ def test_what_is_no_calibration_is_refused() -> None:
         pose_bound(textured_wall(), camera="camera.yaml")  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_another_calibration_needs_no_other_kernel() -> None:
     """Its numbers are kernel input."""
     gc.collect()  # BSDFs of earlier scenes are part of a kernel's virtual calls while they live

@@ -93,6 +93,7 @@ def ramp_information(width: int, height: int, focal: float) -> dict[tuple[int, i
     return {(k, k): 3 * np.sum((0.1 * slope) ** 2) / 1e-4 for k, slope in slopes.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("says", "focal"),
     [
@@ -302,6 +303,7 @@ def test_the_sensors_medium_is_not_passed_by_without_a_word(tmp_path: Path) -> N
     assert opened(written(tmp_path, fog + inside, "")).integrator.class_name() == "VolumetricPathIntegrator"
 
 
+@pytest.mark.slow
 def test_light_that_path_loses_on_masks_is_not_lost_without_a_word() -> None:
     """Half of what a half mask reflects: the half of the paths that pass it meet nothing."""
     sheet = wall() | {"bsdf": {"type": "mask", "opacity": 0.5, "bsdf": {"type": "diffuse"}}}
@@ -377,6 +379,7 @@ def test_a_scene_file_with_its_defaults_is_a_scene(scenes: Path) -> None:
         opened(SceneFile(room.path, {"widht": "20"}))
 
 
+@pytest.mark.slow
 def test_a_measurement_says_its_field_of_view() -> None:
     bound = pose_bound(textured_wall(sensor=camera(24, 18)), SIGMA, spp=16)
     across, down = bound.provenance["fov_deg"]

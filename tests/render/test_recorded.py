@@ -263,6 +263,7 @@ def test_other_scenes_come_and_go(traced: Callable[..., np.ndarray]) -> None:
     assert np.array_equal(traced(first), expected)
 
 
+@pytest.mark.slow
 def test_a_scene_is_traced_once_and_kept_until_another_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
     scene_module._kept.clear()
     gc.collect()

@@ -85,6 +85,7 @@ def test_a_malformed_file_is_named_with_its_line_and_a_cure(
         assert part in message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "load", ["load_scene", "lambda file: as_scene({'type': 'scene', 'wall': wall(file)})"]
 )

@@ -67,6 +67,7 @@ def test_a_convex_body_under_a_constant_light_shows_its_albedo(tmp_path: Path) -
     np.testing.assert_allclose(baked.mean(axis=(0, 1)), expected, rtol=WEIGHTS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("light", ["baked", "constant:1"])
 def test_an_image_lies_on_a_surface_as_it_is_and_on_both_of_its_sides(light: str, tmp_path: Path) -> None:
     pixels = np.uint8([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]])
@@ -182,6 +183,7 @@ def test_what_shines_in_a_file_lights_it(tmp_path: Path) -> None:
     np.testing.assert_allclose(seen.mean(axis=(0, 1)), [0.5, 1.0, 0.0], rtol=WEIGHTS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["point", "spot", "directional"])
 def test_lamps_of_a_file_light_it_as_they_should(kind: str, tmp_path: Path) -> None:
     """By E = I cos θ / r² of a point or within a spot, and E cos θ of a distant light."""

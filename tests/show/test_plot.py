@@ -254,6 +254,7 @@ def test_nothing_written_on_the_page_touches_other_words_or_another_panel(option
             assert panel is ax or not box.overlaps(panel.get_window_extent()), name
 
 
+@pytest.mark.slow
 def test_plotting_touches_no_global_state(tmp_path):
     before = dict(mpl.rcParams)
     view = synthetic_view.jacobian()
