@@ -62,6 +62,7 @@ def test_a_ramp_on_a_plane_has_the_closed_form_jacobian(method: str) -> None:
     assert along == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shipped", [False, True])
 def test_forward_agrees_with_finite_differences_where_radiance_is_smooth(shipped: bool, scenes: Path) -> None:
     """ΔJ's unbiased information is within 4 standard errors of 0.02² of J's (float32 and step bias)."""
@@ -82,6 +83,7 @@ def test_forward_agrees_with_finite_differences_where_radiance_is_smooth(shipped
     assert np.all(np.diag(left_over.matrix) < bound)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("reflectance", "named"),
     [

@@ -33,6 +33,7 @@ def test_forward_passes_on_a_smooth_wall() -> None:
     assert "agree; would have seen" in str(check)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.BlindSpotWarning")
 def test_forward_fails_on_a_nearest_texture() -> None:
     jumpy = scene(wall=wall(texture(filter_type="nearest")))

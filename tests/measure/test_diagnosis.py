@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import os
+import platform
 import subprocess
 import sys
 
@@ -55,6 +56,7 @@ def test_everything_works_where_the_tests_run():
 
 
 def test_without_a_usable_llvm_it_says_so_and_tries_nothing(monkeypatch):
+    platform.platform()  # asks a process of its own, once
     monkeypatch.setattr(llvm, "configure", unusable)
     monkeypatch.setattr(subprocess, "run", None)
     diagnosis = doctor.diagnose()

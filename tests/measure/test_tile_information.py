@@ -68,6 +68,7 @@ def test_tiles_of_any_size_add_up_to_the_image_whatever_the_streaming_tiles(tile
         assert np.abs(blocks.sum(axis=0) - all_[0]).max() < 1e-9 * np.abs(all_[0]).max()
 
 
+@pytest.mark.slow
 def test_halves_agree_with_the_bound_s_information_within_its_errors() -> None:
     information = pose_bound(textured_wall(), SIGMA, **(FAST | {"spp": 64})).information
     found = tile_information(textured_wall(), SIGMA, tile_size=40, **(FAST | {"spp": 64}))
@@ -77,6 +78,7 @@ def test_halves_agree_with_the_bound_s_information_within_its_errors() -> None:
     assert np.all(np.abs(middle - _scaled(information)) < 5.0 * error)
 
 
+@pytest.mark.slow
 def test_a_mask_keeps_the_tiles_that_it_touches_and_a_sample_stands_for_all() -> None:
     mask = np.zeros((30, 40), dtype=bool)
     mask[:12, :20] = True
