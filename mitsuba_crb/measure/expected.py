@@ -98,12 +98,5 @@ def whole_pilot(view: Measurable, paths: Paths, tile: int, *, even: bool = False
     width, height = view.size
     image = np.empty((height, width, 3))
     for part in subset.tiles(np.ones((height, width), dtype=bool), tile):
-        image[part[:, 1], part[:, 0]] = pilot(view, part, paths, even=even)
+        image[part[:, 1], part[:, 0]] = view.start_image(part, paths, purpose=PILOT, even=even)()[0]
     return image
-
-
-def pilot(
-    view: Measurable, pixels: NDArray[np.int64], paths: Paths, *, even: bool = False
-) -> NDArray[np.float64]:
-    """(n, 3) a pilot render of pixels (n, 2), in one batch."""
-    return np.asarray(view.start_image(pixels, paths, purpose=PILOT, even=even)()[0])
