@@ -35,6 +35,10 @@ class CaptureError(MitsubaCRBError):
     """A folder of posed photographs cannot be used: files are missing, or do not fit one another."""
 
 
+class FieldError(MitsubaCRBError):
+    """A splat or radiance field cannot be used: its file is damaged, or of another kind or version."""
+
+
 class FilmError(MitsubaCRBError):
     """A film or its reconstruction filter does not measure linear RGB."""
 
@@ -129,6 +133,10 @@ class OutOfViewError(AlignmentError):
 
 class TrialError(MitsubaCRBError):
     """Monte Carlo trials cannot be run, resumed or judged: their number, settings or bound are at fault."""
+
+
+class FieldWarning(UserWarning):
+    """Something of a splat or radiance field was left out, or its cameras seem to be of another frame."""
 
 
 class SceneWarning(UserWarning):
