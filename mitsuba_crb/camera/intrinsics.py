@@ -93,6 +93,11 @@ class Intrinsics(Record):
         return dict(zip(names, (*self.focal, *self.centre, *self.distortion), strict=True))
 
     @property
+    def plain_fov_deg(self) -> float:
+        """Horizontal field of view of the film without the lens' distortion [deg]."""
+        return float(np.degrees(2.0 * np.arctan(0.5 * self.size[0] / self.focal[0])))
+
+    @property
     def words(self) -> str:
         """The coefficients that are not zero."""
         names = LENS_MODELS[self.model]

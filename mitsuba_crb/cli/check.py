@@ -33,9 +33,13 @@ def check(
     sensor: Sensor = "0",
     pose: Pose = None,
     method: Annotated[
-        list[str],
-        typer.Option(metavar="M", help="Method to check, repeatable: flow, as bound uses it, or forward."),
-    ] = [MeasurementOptions.method],  # noqa: B006  # read once, by Typer
+        list[str] | None,
+        typer.Option(
+            metavar="M",
+            help="Method to check, repeatable: flow, as bound uses it, or forward; of fields exact. Default: "
+            "as bound.",
+        ),
+    ] = None,
     spp: Spp = None,
     max_spp: Annotated[
         int | None,
@@ -84,6 +88,6 @@ def check(
         from ..show.check_table import print_check
 
         with measuring() as (_, warned):
-            result = check_jacobian(SceneFile(scene, defines), methods=tuple(method), **options)
+            result = check_jacobian(SceneFile(scene, defines), methods=method, **options)
         print_check(console(), result, warned)
         return result.exit_code

@@ -10,7 +10,9 @@ import typer
 Scene = Annotated[
     Path,
     typer.Argument(
-        metavar="SCENE", help="A Mitsuba 3 scene file (.xml), or a world's: .glb, .gltf, .obj, .ply, .stl."
+        metavar="SCENE",
+        help="A Mitsuba 3 scene file (.xml), a world's (.glb, .gltf, .obj, .ply, .stl), or a radiance "
+        "field's: Gaussian splats (.ply, .splat) or a trained field (.npz).",
     ),
 ]
 Light = Annotated[
@@ -77,7 +79,14 @@ ParquetFile = Annotated[
     Path | None,
     typer.Option("--parquet", metavar="FILE", help="Of --poses: write the same table as Parquet."),
 ]
-Method = Annotated[str, typer.Option(metavar="M", help="How the Jacobian is measured.")]
+Method = Annotated[
+    str | None,
+    typer.Option(
+        metavar="M",
+        help="How the Jacobian is measured: flow (the default of scenes), forward or finite_difference; of "
+        "fields exact (their default) or finite_difference.",
+    ),
+]
 Spp = Annotated[
     int | None,
     typer.Option(metavar="N", help="Paths of every pixel, over all batches, in place of a precision."),

@@ -18,13 +18,10 @@ from ..errors import AlignmentError, NoiseError, PrecisionWarning
 from ..files import Record
 from ..information.image_information import as_noise_model
 from ..measure.measurement import measurement
-from ..measure.mitsuba_view import wanted
+from ..measure.opening import as_world, open_measurable, wanted
 from ..measure.options import MeasurementKeywords, MeasurementOptions
 from ..noise import CoupledNoise, IndependentNoise, NoiseModel
-from ..noise.measured import COLOUR
 from ..render.lending import in_turn
-from ..render.scene import as_scene
-from ..render.view import open_view
 from ..se3 import Array
 from .misfit import Anchor, Misfit
 from .optimisers import DAMPING, SMALL_MOTION, Status, adam, least_squares
@@ -77,7 +74,7 @@ def align(
     """Estimate the pose that an image was taken from.
 
     Args:
-        scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
+        scene: as for `pose_bound`.
         image: (H, W, 3) measured linear RGB [radiance]; pixels that are not finite are left out.
         noise: its noise, independent between pixels and channels.
         estimator: one of `ESTIMATORS`.
@@ -103,7 +100,7 @@ def align(
     _check_arguments(estimator, iterations, levels)
     model = _checked_noise(noise, measured)
     options["size"] = _size(measured, scene, options)
-    loaded, _ = as_scene(scene, wanted(MeasurementOptions(**options)))
+    loaded, _ = as_world(scene, wanted(MeasurementOptions(**options)))
     damping = DAMPING if estimator == "levenberg_marquardt" else 0.0
     count, words = 0, None
     if levels:
@@ -124,7 +121,7 @@ def align(
             if status != "diverged":
                 options["pose"] = pose
     with measurement(loaded, **options) as run:
-        if run.view.measured != COLOUR:
+        if not run.view.measured.is_colour:
             raise AlignmentError(
                 f"the camera measures {run.view.measured.name} alone; an alignment needs rgb, of the film "
                 "(pixel_format) and of --channels"
@@ -194,7 +191,8 @@ def _size(image: NDArray[Any], scene: Any, options: MeasurementKeywords) -> tupl
     if size is not None and tuple(size) != (width, height):
         raise AlignmentError(f"the measured image is {width}x{height}, and size says {size[0]}x{size[1]}")
     if size is None and camera is None:  # a calibration refuses another shape by itself
-        with open_view(scene, sensor=options.get("sensor", 0)) as view:
+        own: MeasurementKeywords = {"sensor": options.get("sensor", 0), "pose": options.get("pose")}
+        with open_measurable(scene, MeasurementOptions(**own)) as view:
             across, down = view.size
         # As close to the film's shape as whole pixels can be.
         if abs(width * down - height * across) >= max(across, down):

@@ -17,6 +17,7 @@ from .. import se3
 from ..errors import TrialError
 from ..information.image_information import fisher_information
 from ..measure.measurement import measurement
+from ..measure.opening import kind_of
 from ..measure.options import MeasurementKeywords, MeasurementOptions
 from ..noise import Gaussian
 from ..render.lending import in_turn
@@ -40,7 +41,7 @@ def settled(scene: Any, sigma: float | None, options: MeasurementKeywords) -> Me
     """The trials' options, with as many paths per pixel as make the renderer's part small, or as allowed.
 
     Args:
-        scene: as `measurement` takes it.
+        scene: loaded.
         sigma: standard deviation of the pixel noise [radiance]; None is that of the default camera.
         options: of the trials' renders, without `spp`; `precision` is the part to get below (`SMALL`), and
             `max_spp` the most paths per pixel (`_most`).
@@ -51,6 +52,8 @@ def settled(scene: Any, sigma: float | None, options: MeasurementKeywords) -> Me
     given = MeasurementOptions(**options)
     limit = SMALL if given.precision is None else given.precision
     fixed: MeasurementKeywords = {**options, "precision": None, "max_spp": None}
+    if kind_of(scene).deterministic:
+        return {**fixed, "spp": given.uniform_spp}
     pilot: MeasurementKeywords = {**fixed, "seed": (given.seed + _PILOT) % (1 << 64)}
     spp, most = given.uniform_spp, given.max_spp
     while most is None or spp < most:

@@ -18,11 +18,11 @@ from .. import se3
 from ..errors import OutOfViewError
 from ..files import Record
 from ..information.symmetric import pack
-from ..measure.mitsuba_view import wanted
+from ..measure.opening import as_world, wanted
 from ..measure.options import MeasurementKeywords, MeasurementOptions
 from ..noise import Gaussian
 from ..render.fit import Wanted
-from ..render.scene import SceneFile, as_scene
+from ..render.scene import SceneFile
 from ..se3 import Array
 from .align import align
 from .misfit import Anchor
@@ -81,7 +81,7 @@ def run_trials(work: tuple[Setup, list[int]]) -> list[Trial]:
 @functools.lru_cache(maxsize=1)
 def _loaded(scene: str, of_it: Wanted, *defines: tuple[str, str]) -> Any:
     """A process loads its scene once: the first render of a loaded scene costs as much as a trial."""
-    return as_scene(SceneFile(scene, dict(defines)), of_it)[0]
+    return as_world(SceneFile(scene, dict(defines)), of_it)[0]
 
 
 def _trial(setup: Setup, scene: Any, index: int) -> Trial:

@@ -30,13 +30,13 @@ from ..files import Record
 from ..information.image_information import fisher_information
 from ..information.image_jacobian import ImageJacobian
 from ..information.symmetric import unpack
-from ..measure.mitsuba_view import wanted
+from ..measure.opening import as_world, fingerprint, kind_of, wanted
 from ..measure.options import MeasurementKeywords, MeasurementOptions
 from ..noise import Gaussian
 from ..processes import in_processes
 from ..render.backend import same_variant
-from ..render.fingerprint import fingerprint, mask_fingerprint
-from ..render.scene import SceneFile, as_scene
+from ..render.fingerprint import mask_fingerprint
+from ..render.scene import SceneFile
 from ..se3 import Array
 from .foretold import settled
 from .renderer_part import SMALL, RendererPart, Verdict, renderer_part
@@ -139,7 +139,7 @@ def validate(
     """Run trials and compare their errors with the bound.
 
     Args:
-        scene: path of a Mitsuba XML file; with one worker also a dictionary or an `mi.Scene`.
+        scene: as for `pose_bound`; with several workers a path.
         trials: how many, at least 7.
         perturb_deg: starts are drawn uniformly from the ball of rotations up to this angle [deg].
         perturb_trans: the same for translation [scene unit].
@@ -170,7 +170,7 @@ def validate(
     named = dict(defines or {})
     source = SceneFile(scene, named) if isinstance(scene, str | Path) else scene
     given = MeasurementOptions(**options)
-    loaded, _ = as_scene(source, wanted(given))
+    loaded, _ = as_world(source, wanted(given))
     limit = SMALL if given.precision is None else given.precision
     if given.spp is None:
         options = settled(loaded, sigma, options)
@@ -189,7 +189,7 @@ def validate(
         **{name: jacobian.provenance[name] for name in _MEASURED},
         "pixels": {**selection, "mask": mask_fingerprint(np.isfinite(anchor.batches[0]).all(axis=2))},
         **({} if given.camera is None else {"camera": given.camera.to_dict()}),
-        "spp": options["spp"],
+        "spp": 0 if kind_of(loaded).deterministic else options["spp"],
         "integrator": names["integrator"],
         "pose": [[round(value, 9) for value in row] for row in anchor.pose.tolist()],
     }

@@ -13,7 +13,6 @@ from ..jacobian.method import Paths
 from ..measure.measurement import measurement
 from ..measure.options import MeasurementKeywords, MeasurementOptions
 from ..noise import Gaussian
-from ..noise.measured import COLOUR
 from ..render.lending import in_turn
 from .misfit import Anchor
 
@@ -32,8 +31,8 @@ class Truth(NamedTuple):
     """The anchor's."""
     sigma: float
     """Standard deviation of the pixel noise [radiance]."""
-    names: dict[str, str]
-    """What scene and integrator are called."""
+    names: dict[str, str | None]
+    """What scene and integrator are called; a field has no integrator."""
 
 
 @in_turn
@@ -52,7 +51,7 @@ def truth_of(scene: Any, sigma: float | None, options: MeasurementKeywords) -> T
     many: MeasurementKeywords = {**options, "spp": TIMES * MeasurementOptions(**options).uniform_spp}
     with measurement(scene, **many) as run:
         run = run.only()
-        if run.view.measured != COLOUR:
+        if not run.view.measured.is_colour:
             raise TrialError(
                 f"the camera measures {run.view.measured.name} alone; trials need rgb, of the film "
                 "(pixel_format) and of --channels"
@@ -71,5 +70,5 @@ def truth_of(scene: Any, sigma: float | None, options: MeasurementKeywords) -> T
         if invalid:
             image[0, ~valid] = np.nan
             jacobian = jacobian.only(valid, f"{run.selection.description}, where the radiance is finite")
-        names = {"scene": run.view.label, "integrator": run.view.provenance()["integrator"]}
+        names = {"scene": run.view.label, "integrator": run.view.provenance().get("integrator")}
         return Truth(Anchor(run.view.pose, image, jacobian), jacobian, model.sigma, names)

@@ -48,6 +48,7 @@ _PROVENANCE_KEYS = (
     "depth",
     "prior",
 )
+_OF_FIELDS = ("field", "deterministic")
 
 
 def bound_document(bound: PoseBound, hcr: HCRBound | None = None) -> dict[str, Any]:
@@ -56,6 +57,7 @@ def bound_document(bound: PoseBound, hcr: HCRBound | None = None) -> dict[str, A
     document = {
         "schema": SCHEMA,
         **{key: provenance.get(key) for key in _PROVENANCE_KEYS},
+        **{key: provenance[key] for key in _OF_FIELDS if key in provenance},
         "pose": bound.information.pose,
         **_bound(bound),
         "nuisances": {

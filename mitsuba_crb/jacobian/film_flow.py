@@ -74,16 +74,6 @@ class CoefficientFlow:
 FilmFlow = AffineFlow | CoefficientFlow
 
 
-def plain_fov_deg(view: View) -> float:
-    """Horizontal field of view of the film without the lens' distortion; of a sensor, of all its film."""
-    import mitsuba as mi
-
-    if view.calibration is None:
-        return float(np.asarray(mi.traverse(view.sensor)["x_fov"]).ravel()[0])
-    intrinsics = view.calibration.intrinsics
-    return float(np.degrees(2.0 * np.arctan(0.5 * intrinsics.size[0] / intrinsics.focal[0])))
-
-
 def film_flows(view: View, name: str) -> tuple[FilmFlow, ...]:
     """The flows per unit of "fov" [deg], "principal_point" [pixel], or one of `Intrinsics.parameters`."""
     import mitsuba as mi
@@ -93,7 +83,7 @@ def film_flows(view: View, name: str) -> tuple[FilmFlow, ...]:
     if name == "principal_point":
         return film_flows(view, "cx") + film_flows(view, "cy")
     if name == "fov":
-        scale = -np.radians(1.0) / np.sin(np.radians(plain_fov_deg(view)))
+        scale = -np.radians(1.0) / np.sin(np.radians(view.plain_fov_deg))
         return (AffineFlow.of([scale, scale], -scale * centre),)
     if name in ("cx", "cy"):
         return (AffineFlow.of([0.0, 0.0], np.eye(2)["xy".index(name[1])]),)

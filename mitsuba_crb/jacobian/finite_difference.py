@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from .. import se3
 from ..errors import BlindSpotWarning
 from ..render.pixels import render_pixels
-from .method import AtOnce, Estimates, Paths
+from .method import AtOnce, Estimates, Paths, Seen, Stepping
 
 if TYPE_CHECKING:
     from ..render.film import PixelFilter
@@ -40,7 +40,7 @@ BIAS = 0.02
 
 
 def steps_of(
-    view: View, step_pixels: float = STEP_PIXELS, depth: NDArray[np.float64] | None = None
+    view: Seen, step_pixels: float = STEP_PIXELS, depth: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
     """(6,) the steps that move the image by `step_pixels`, translation [scene unit] then rotation [rad].
 
@@ -132,6 +132,12 @@ class FiniteDifference:
                 stacklevel=2,
             )
         return cls(view, step_pixels)
+
+    @classmethod
+    def stepping(cls, view: View) -> Stepping:
+        """See `Reference.stepping`."""
+        step = step_for(view.pixel_filter)
+        return Stepping(step, order_of(view.pixel_filter, step), edge_misfit(view.pixel_filter, step))
 
     @classmethod
     def limits(cls, view: View) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
     from ..render.view import View
+    from .method import Seen
 
 _GRID = 64
 _FAR = 100.0
@@ -32,7 +33,7 @@ _NOTICED, _USELESS = 0.01, 0.1
 """Spacing of positions over the finite-difference step that is warned of, and that is refused."""
 
 
-def precision_findings(view: View) -> list[str]:
+def precision_findings(view: Seen) -> list[str]:
     """Where float32 positions at the camera are too coarse for the derivative.
 
     Renders are float32, as vertices of meshes are: at a distance |c| from the origin both are multiples

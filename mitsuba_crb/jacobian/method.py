@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from ..camera import Camera
     from .film_flow import FilmFlow
 
 Floats = NDArray[np.float64]
@@ -127,6 +128,41 @@ class Method(Protocol):
 
     def prepare(self, pixels: Pixels, paths: Paths) -> Tile:
         """Ready some pixels (n, 2), columns and rows; those of one block must come in one call."""
+
+
+class Seen(Protocol):
+    """What the steps of a difference in the pose are chosen by."""
+
+    @property
+    def camera(self) -> Camera:
+        """Intrinsics."""
+
+    @property
+    def pose(self) -> Floats:
+        """(4, 4) `world_from_camera`."""
+
+    @property
+    def visible_depth(self) -> Floats:
+        """(n,) depths along the optical axis of what is seen [scene unit]."""
+
+
+class Stepping(NamedTuple):
+    """How a central difference steps, and what that does to its columns."""
+
+    pixels: float
+    """Image motion of a step [pixel]."""
+    order: int
+    """The power of the step that the bias goes by."""
+    misfit: float
+    """‖J_h − J‖² / ‖J‖² of the sharpest thing that may be seen."""
+
+
+class Reference(Method, Protocol):
+    """Central differences, which other methods of the same views are checked against."""
+
+    @classmethod
+    def stepping(cls, view: Any) -> Stepping:
+        """As it steps in a view by itself."""
 
 
 @dataclass(frozen=True)

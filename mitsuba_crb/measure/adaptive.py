@@ -141,7 +141,7 @@ class Rounds:
 
     def decided(self) -> Measurement:
         """The measurement that is to give the answer, after all rounds but its own."""
-        if self._run.options.spp is not None:
+        if self._run.options.spp is not None or self._run.view.deterministic:
             return self._run
         plan = self._planned(np.full(self._pixels.shape, self._least, dtype=np.int64))
         # A pilot and an answer of the same size must fit: else the pilot is the answer.

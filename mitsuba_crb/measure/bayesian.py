@@ -48,7 +48,7 @@ def van_trees(
     """The van Trees bound on the camera's pose, in the camera frame at the prior's mean.
 
     Args:
-        scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`; its camera, or `pose`, is the mean.
+        scene: as for `pose_bound`; its camera, or `pose`, is the mean.
         noise: as in `pose_bound`; the default follows from the image at the mean.
         prior: positive definite.
         draws: poses drawn from the prior, at least two; each is measured with `spp` paths per pixel.

@@ -9,17 +9,18 @@ without bias (design section 5), so
 All methods measure the same pixels, which are chosen once, with random numbers of their own each; what one of
 them drops as invalid is left out of the comparison with it.
 
-The reference is measured with two steps, h = `step_for` of the film's filter and 2h, by the same random
-numbers. Its bias goes as h^p, p = 1 with a box filter and 2 with others, whence
+The reference is measured with two steps, h as it steps by itself and 2h, by the same random numbers. Its bias
+goes as h^p, p = 1 with a box filter and 2 with others, whence
 
     F_fd = F(h) + c_p (F(h) − F(2h)),   c_p = 1 / (2^p − 1).
 
 What the next order would make of it, |c_p − c_{p+1}| |F(h) − F(2h)|, is allowed for. Where the correction is
 more than `AGREEMENT`, the steps disagree, and nothing is decided. J_h itself may be off by twice what it is
-at an edge (`edge_misfit`).
+at an edge (`Stepping`).
 
 Without a number of paths a check goes on in rounds until it can tell. Each has random numbers of its own, and
-a size that the round before it has fixed; the last is the answer, and those before it are forgotten.
+a size that the round before it has fixed; the last is the answer, and those before it are forgotten. What is
+deterministic is measured once.
 """
 
 from __future__ import annotations
@@ -40,20 +41,15 @@ from ..information.image_information import fisher_information
 from ..information.image_jacobian import ImageJacobian
 from ..information.joint import joint_information
 from ..information.symmetric import triangle
-from ..jacobian.finite_difference import edge_misfit, order_of, step_for, steps_of
-from ..jacobian.methods import METHODS, REFERENCE
+from ..jacobian.finite_difference import steps_of
 from ..noise import Gaussian
 from ..render.random import derived_seed
-from ..render.scene import as_scene
 from .measurement import measurement
-from .mitsuba_view import open_measurable, wanted
+from .opening import as_world, kind_of, open_measurable, wanted
 from .options import CHECKING, MeasurementKeywords, MeasurementOptions
 
 AGREEMENT = 0.05
 """The smallest disagreement that a check must be able to see before it may say "agree"."""
-
-CHECKED = tuple(name for name in METHODS if name != REFERENCE.name)
-"""What can be checked."""
 
 _SIGMAS = 3.0
 _MOST = 1 << 22
@@ -109,8 +105,9 @@ class JacobianCheck(Record):
     """Image motion of the shorter step [pixel]."""
     paths: int | None
     """Paths per pixel that would decide, about; None if it is decided, or no number would."""
-    spp: int
-    """Paths per pixel that this took; finite differences trace 12 times that, at two steps."""
+    spp: int | None
+    """Paths per pixel that this took; finite differences trace 12 times that, at two steps. None of what is
+    deterministic."""
 
     @property
     def disagreeing(self) -> list[str]:
@@ -156,13 +153,13 @@ class JacobianCheck(Record):
 def check_jacobian(
     scene: Any,
     *,
-    methods: Sequence[str] = (MeasurementOptions.method,),
+    methods: Sequence[str] | None = None,
     **options: Unpack[MeasurementKeywords],
 ) -> JacobianCheck:
     """Compare methods with finite differences on one view.
 
     Args:
-        scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
+        scene: as for `pose_bound`.
         methods: names of the methods to check; by default that of a bound.
         options: see `MeasurementOptions`, of which `method` and `step_pixels` are set here; defaults in
             `options.CHECKING`. Finite differences trace 12 times `spp`, at two steps. Without `spp` there are
@@ -176,18 +173,20 @@ def check_jacobian(
     Raises:
         OptionError: no method, an unknown one, or a precision: it is `AGREEMENT`.
     """
-    unknown = [name for name in methods if name not in CHECKED]
-    if unknown or not methods:
-        raise OptionError(f"methods to check: {', '.join(CHECKED)}; got {', '.join(unknown) or 'none'}")
-
     options = {**CHECKING, **options}
     given = MeasurementOptions(**options)
     if given.precision is not None:
         raise OptionError(f"a check tells at {AGREEMENT:.0%}; leave out precision, or give spp or max_spp")
-    loaded, _ = as_scene(scene, wanted(given))
+    loaded, _ = as_world(scene, wanted(given))
+    kind = kind_of(loaded)
+    checked = [name for name in kind.methods if name != kind.reference.name]
+    methods = checked[:1] if methods is None else methods
+    unknown = [name for name in methods if name not in checked]
+    if unknown or not methods:
+        raise OptionError(f"methods to check: {', '.join(checked)}; got {', '.join(unknown) or 'none'}")
     with measurement(loaded, **options) as run:
         fixed: MeasurementKeywords = {**options, "pixels": run.mask, "max_spp": None}
-    if given.spp is not None:
+    if given.spp is not None or kind.deterministic:
         return _checked(loaded, methods, fixed)
     spp = given.uniform_spp
     most = max(_FEWEST_MOST, _MOST // int(fixed["pixels"].sum())) if given.max_spp is None else given.max_spp
@@ -205,9 +204,9 @@ def _checked(scene: Any, methods: Sequence[str], options: MeasurementKeywords) -
     """By as many paths and at the pixels that the options say."""
     given = MeasurementOptions(**options)
     with open_measurable(scene, given) as view:
-        step = step_for(view.pixel_filter)
-        order = order_of(view.pixel_filter, step)
-        off = math.sqrt(edge_misfit(view.pixel_filter, step))
+        reference, deterministic = view.reference, view.deterministic
+        step, order, misfit = reference.stepping(view)
+        off = math.sqrt(misfit)
         # Translation steps have a longest, which takes both to the same bias.
         doubled = steps_of(view, 2.0 * step) > 1.9 * steps_of(view, step)
 
@@ -223,7 +222,7 @@ def _checked(scene: Any, methods: Sequence[str], options: MeasurementKeywords) -
             return run.jacobian()
 
     # The same random numbers at both steps, so that their difference is the bias and less of the noise.
-    fine, coarse = (jacobian(REFERENCE.name, 1, length) for length in (step, 2.0 * step))
+    fine, coarse = (jacobian(reference.name, 1, length) for length in (step, 2.0 * step))
     noise = Gaussian(float(np.nanmax(np.abs(fine.image))) or 1.0)
     rows = []
     for index, method in enumerate(methods):
@@ -233,13 +232,14 @@ def _checked(scene: Any, methods: Sequence[str], options: MeasurementKeywords) -
         rows.append(_compare(method, ours, steps, fisher_information(own - fine, noise), off))
     known = [row.detectable[~np.isnan(row.detectable)] for row in rows]
     needed = max(row.paths for row in rows)
+    more_would_tell = 1.0 < needed < np.inf and not deterministic
     return JacobianCheck(
         tuple(rows),
         max((float(values.max()) for values in known if values.size), default=np.inf),
         _Steps.of(fine, coarse, order, doubled, noise).bias,
         step,
-        int(given.uniform_spp * 2 ** np.ceil(np.log2(needed))) if 1.0 < needed < np.inf else None,
-        given.uniform_spp,
+        int(given.uniform_spp * 2 ** np.ceil(np.log2(needed))) if more_would_tell else None,
+        None if deterministic else given.uniform_spp,
     )
 
 

@@ -45,7 +45,7 @@ def hcr_bound(
     """The Hammersley–Chapman–Robbins bound on the camera's pose, which sees repetition; one render each.
 
     Args:
-        scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
+        scene: as for `pose_bound`.
         noise: Gaussian noise that the image does not change; None as for `pose_bound`. What is clipped at the
             pose is left out at the displaced ones, too, as by an estimator that has masked it.
         displacements: (m, 6), camera-frame twists; None: both ways along and about the camera's axes, by

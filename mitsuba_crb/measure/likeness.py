@@ -8,7 +8,7 @@ white balance and haze are not known, so that each channel is fitted by least sq
 s being the curve of sRGB, whose values are what is seen; of what is darker than black, or lighter than white,
 that of black and white. What is saturated in the photograph takes no part in the fit, for the render goes on
 above white; what the photograph masks by its opacity takes no part at all, nor what is black in the render:
-scans have holes.
+scans have holes. Renders that are display-referred are decoded likewise.
 
 A photograph without contrast is like anything: beside it stands the PSNR of an even colour, gain = 0.
 """
@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +28,9 @@ from ..files import read_colours
 from ..jacobian.method import Paths
 from ..noise import SRGB
 from ..se3 import Array
-from .mitsuba_view import MitsubaView
-from .options import MeasurementKeywords, MeasurementOptions
-from .stations import Station, open_stations
+
+if TYPE_CHECKING:
+    from .measurable import Measurable
 
 POOR_DB = 18.0
 """Below this the render and the photograph show different things."""
@@ -90,44 +90,12 @@ def likeness(image: Array, photograph: Array, opacity: Array) -> Likeness:
     return Likeness(*(-10.0 * math.log10(mean) if mean > 0.0 else math.inf for mean in means))
 
 
-def photograph_likenesses(
-    loaded: Any,
-    stations: Sequence[Station],
-    photographs: Sequence[str | Path | None],
-    options: MeasurementKeywords,
-) -> list[Likeness]:
-    """How like its photograph the render at each pose is.
-
-    Args:
-        loaded: the scene.
-        stations: the poses.
-        photographs: files of each pose's; None: it has none.
-        options: of the measurement.
-
-    Returns:
-        One a pose; of NaN where there is no photograph, or one of another shape than the camera's image.
+def compared(view: Measurable, file: Path, seed: int) -> Likeness:
+    """How like a photograph's file the render of a view is; of NaN if it has another shape.
 
     Raises:
-        CaptureError: there are not as many as poses, or one is no image.
+        CaptureError: the file is no image.
     """
-    if len(photographs) != len(stations):
-        raise CaptureError(f"{len(stations)} poses have {len(photographs)} photographs")
-    seed = MeasurementOptions(**options).seed
-    # Colours, whatever is measured there.
-    seen: MeasurementKeywords = {
-        "sensor": options.get("sensor", MeasurementOptions.sensor),
-        "integrator": options.get("integrator"),
-        "size": options.get("size"),
-        "camera": options.get("camera"),
-    }
-    with open_stations(loaded, stations, seen) as views:
-        return [
-            UNKNOWN if file is None else _compared(view, Path(file), seed)
-            for view, file in zip(views, photographs, strict=True)
-        ]
-
-
-def _compared(view: MitsubaView, file: Path, seed: int) -> Likeness:
     colours = read_colours(file, CaptureError).astype(np.float64)
     (down, across), (width, height) = colours.shape[:2], view.size
     if abs(width * down - height * across) >= max(across, down, width, height):
@@ -136,11 +104,13 @@ def _compared(view: MitsubaView, file: Path, seed: int) -> Likeness:
     size = max(1, round(width * factor)), max(1, round(height * factor))
     few = view.seen_through(view.intrinsics.scaled(size))
     pixels = np.stack(np.meshgrid(*(np.arange(n) for n in size)), axis=-1).reshape(-1, 2)
-    image = few.start_image(pixels, Paths(_SPP, seed, _BATCHES), purpose=_LIKENESS, even=True)()
+    image = few.start_image(pixels, Paths(_SPP, seed, _BATCHES), purpose=_LIKENESS, even=True)().mean(axis=0)
+    if view.white is not None:
+        image = np.asarray(SRGB.inverse(np.clip(image / view.white, 0.0, 1.0)))
     opacity = _averaged(colours[:, :, 3], size)
     linear = [_averaged(colours[:, :, 3] * SRGB.inverse(colours[:, :, k]), size) for k in range(3)]
     photograph = np.stack(linear, axis=2) / np.maximum(opacity, 1e-6)[:, :, None]
-    return likeness(image.mean(axis=0).reshape(size[1], size[0], 3), np.clip(photograph, 0.0, 1.0), opacity)
+    return likeness(image.reshape(size[1], size[0], 3), np.clip(photograph, 0.0, 1.0), opacity)
 
 
 def _averaged(values: NDArray[Any], size: tuple[int, int]) -> Array:

@@ -1,7 +1,7 @@
 """What can be measured: an image of a world, as a function of its camera's pose.
 
-A Mitsuba scene is one (`mitsuba_view`); whatever else has these members comes under the same bound, by the
-same functions and commands.
+A Mitsuba scene is one (`mitsuba_view`), a radiance field is (`field_view`); whatever else has these members
+comes under the same bound, by the same functions and commands. `opening` tells them apart.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OptionError
-from ..jacobian.method import Method, Paths
+from ..jacobian.method import Method, Paths, Reference
 
 if TYPE_CHECKING:
-    from ..camera import Camera
+    from ..camera import Camera, Intrinsics
     from ..noise import Measured
     from .nuisances import Nuisance
 
@@ -46,8 +46,16 @@ class Measurable(Protocol):
         """What the camera measures of the image."""
 
     @property
+    def white(self) -> float | None:
+        """What its values call white; None of radiance, which a camera is exposed for."""
+
+    @property
     def camera(self) -> Camera:
-        """Intrinsics."""
+        """Intrinsics, ready to project."""
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """What a calibration says of the camera, or would."""
 
     @property
     def visible_depth(self) -> NDArray[np.float64]:
@@ -55,13 +63,28 @@ class Measurable(Protocol):
 
     @property
     def methods(self) -> Mapping[str, type[Method]]:
-        """Ways to measure the columns of its pixels, by name."""
+        """Ways to measure the columns of its pixels, by name; the first is the default."""
+
+    @property
+    def reference(self) -> type[Reference]:
+        """The one that the others are checked against."""
+
+    @property
+    def deterministic(self) -> bool:
+        """Whether no random number is drawn: then all batches show the same, but for rounding."""
 
     def telling(self) -> NDArray[np.bool_] | None:
         """(H, W) the pixels that measure anything; None: all."""
 
     def at(self, pose: NDArray[np.float64]) -> Self:
         """The same camera at another pose (4, 4)."""
+
+    def seen_through(self, intrinsics: Intrinsics) -> Self:
+        """The same world through another camera.
+
+        Raises:
+            CameraError: it cannot be.
+        """
 
     def start_image(
         self,
@@ -103,14 +126,20 @@ class Measurable(Protocol):
         """What else the numbers depend on, JSON-able."""
 
 
-def method_of(view: Measurable, name: str) -> type[Method]:
-    """The way to measure a view that users call so.
+def method_of(methods: Mapping[str, type[Method]], name: str | None) -> type[Method]:
+    """The way to measure a view that users call so; None: the default.
+
+    Args:
+        methods: see `Measurable.methods`.
+        name: one of theirs.
 
     Raises:
         OptionError: there is none; names the near one.
     """
-    if name not in view.methods:
-        near = get_close_matches(str(name), view.methods, 1)
+    if name is None:
+        return next(iter(methods.values()))
+    if name not in methods:
+        near = get_close_matches(str(name), methods, 1)
         hint = f"did you mean {near[0]!r}? " if near else ""
-        raise OptionError(f"unknown method {name!r}; {hint}methods: {', '.join(view.methods)}")
-    return view.methods[name]
+        raise OptionError(f"unknown method {name!r}; {hint}methods: {', '.join(methods)}")
+    return methods[name]

@@ -32,8 +32,8 @@ from .differences import Differences
 from .expected import PILOT_SPP, ExpectedImage, whole_pilot
 from .exposure import Exposure, Saturation, exposed, start_metering
 from .measurable import Measurable, method_of
-from .mitsuba_view import open_measurable
 from .nuisances import Nuisance, name_parameters, nuisance_columns
+from .opening import open_measurable
 from .options import MeasurementKeywords, MeasurementOptions
 from .plan import Plan
 from .sensing import RGBD, noise_of_depth
@@ -85,7 +85,7 @@ class Measurement:
     @cached_property
     def method(self) -> Method:
         """The method, open for this view and these pixels."""
-        return method_of(self.view, self.options.method).open(
+        return method_of(self.view.methods, self.options.method).open(
             self.view,
             self.mask,
             self.options.seed,
@@ -111,8 +111,8 @@ class Measurement:
         return {
             "scene": self.view.label,
             "sensor": self.view.variable,
-            "method": self.options.method,
-            "spp": self.paths.spp if self.plan is None else self.plan.mean_spp(self.mask),
+            "method": self.method.name,
+            "spp": self._mean_spp,
             "seed": self.options.seed,
             "batches": self.options.batches,
             "size": list(self.view.size),
@@ -124,6 +124,13 @@ class Measurement:
             **scaled,
             "versions": versions(),
         }
+
+    @property
+    def _mean_spp(self) -> float:
+        """Paths per pixel; none where none is random."""
+        if self.view.deterministic:
+            return 0
+        return self.paths.spp if self.plan is None else self.plan.mean_spp(self.mask)
 
     def noise(self, model: NoiseModel | None) -> tuple[NoiseModel, str]:
         """The noise model, checked against the image, and where it came from."""
@@ -154,6 +161,8 @@ class Measurement:
         """
         if isinstance(self.options.exposure, float):
             return Exposure(self.options.exposure, "given")
+        if self.view.white is not None:
+            return Exposure(self.view.white, self.view.measured.unit)
         finish = start_metering(self.view, self.options.seed)
         _ = self.method  # while these paths are traced
         found = exposed(*finish())
@@ -182,7 +191,7 @@ class Measurement:
         """Warn of what the arithmetic does not resolve, and by name of what the method cannot see here."""
         for text in self.view.precision_limits():
             warnings.warn(text, PrecisionWarning, stacklevel=4)
-        for text in method_of(self.view, self.options.method).limits(self.view):
+        for text in method_of(self.view.methods, self.options.method).limits(self.view):
             warnings.warn(text, BlindSpotWarning, stacklevel=4)
 
     def at(self, pose: NDArray[np.float64], /, **options: Unpack[MeasurementKeywords]) -> Measurement:
@@ -340,7 +349,8 @@ class Measurement:
                 others = nuisance_columns(self.nuisances, self.view, pixels, images, film, paths)
             done += len(pixels) * (paths.spp // least)
             measured += len(pixels)
-            needed = pilot or (noise is not None and noise.depends_on_mean)
+            # An image without noise is its own pilot.
+            needed = not self.view.deterministic and (pilot or (noise is not None and noise.depends_on_mean))
             expected, error = self.expected.of(pixels, image, noise, paths.spp) if needed else (None, None)
             tile = TileJacobian(values, pixels, image, others, expected, error, causes, step_bias).finite()
             if noise is not None:
@@ -375,7 +385,7 @@ def measurement(
             "(measure=)"
         )
     with open_measurable(scene, given, apart=name_parameters(nuisances)) as view:
-        method = method_of(view, given.method)
+        method = method_of(view.methods, given.method)
         told = view.telling()
         mask, selection = subset.choose(
             given.pixels,

@@ -5,18 +5,17 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..jacobian import lint
-from ..jacobian.method import Method, Paths
-from ..jacobian.methods import METHODS
+from ..jacobian.method import Method, Paths, Reference
+from ..jacobian.methods import METHODS, REFERENCE
 from ..render import visibility
 from ..render.depth import DepthMap, depth_map
-from ..render.fit import Wanted
 from ..render.pixels import start_pixels, summed
 from ..render.view import View, open_view
 from .nuisances import Nuisance, open_nuisances
@@ -27,7 +26,10 @@ from .options import MeasurementOptions
 class MitsubaView(View):
     """An open view with what a measurement asks of it, see `Measurable`."""
 
-    methods: ClassVar[dict[str, type[Method]]] = METHODS
+    methods: ClassVar[Mapping[str, type[Method]]] = METHODS
+    reference: ClassVar[type[Reference]] = REFERENCE
+    deterministic: ClassVar[bool] = False
+    white: ClassVar[float | None] = None
 
     @functools.cached_property
     def depth_map(self) -> DepthMap | None:
@@ -81,14 +83,10 @@ class MitsubaView(View):
         return {"measures": measures, "integrator": name, "fov_deg": self.camera.field_of_view_deg, **lens}
 
 
-def wanted(options: MeasurementOptions) -> Wanted:
-    """What the options ask of a scene before it is loaded."""
-    size = options.size if options.camera is None else None
-    return Wanted(options.sensor, size, options.integrator is not None)
-
-
 @contextlib.contextmanager
-def open_measurable(scene: Any, options: MeasurementOptions, *, apart: bool = False) -> Iterator[MitsubaView]:
+def open_mitsuba_view(
+    scene: Any, options: MeasurementOptions, *, apart: bool = False
+) -> Iterator[MitsubaView]:
     """The view of a scene's camera that the options ask for; arguments and errors as `open_view`."""
     with open_view(
         scene,

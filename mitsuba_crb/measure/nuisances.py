@@ -8,7 +8,7 @@
     fov              horizontal field of view [deg], fx and fy in proportion; likewise
     principal_point  cx and cy
     NAME             a differentiable parameter of `mi.traverse(scene)`, a column for each entry; of a
-                     `to_world` the six motions. NAME:scale is a common scale of all entries
+                     `to_world` the six motions. NAME:scale is a common scale of all entries. Of scenes only
     gain:32          with a value of its own in every tile of 32 x 32 pixels; likewise black:32; not of a
                      random subset of the pixels (`joint`)
 
@@ -21,8 +21,9 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,13 +31,14 @@ from numpy.typing import NDArray
 
 from ..camera import LENS_MODELS
 from ..errors import NuisanceError
+from ..jacobian.intrinsic_parameter import IntrinsicParameter
 from ..jacobian.method import Method, Paths
+from ..jacobian.parameter import STEP_PIXELS
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
     from ..jacobian.film_flow import FilmFlow
-    from ..jacobian.intrinsic_parameter import IntrinsicParameter
     from ..jacobian.parameter import SceneParameter
     from ..render.view import View
 
@@ -90,17 +92,50 @@ def name_parameters(names: Sequence[str]) -> bool:
 
 
 def open_nuisances(view: View, names: Sequence[str], method: type[Method]) -> tuple[Nuisance, ...]:
-    """The nuisances of these names in a view.
+    """The nuisances of these names in a view of a scene.
 
     Raises:
         NuisanceError: no such parameter, no derivative in it, too many entries, or a name given twice.
+    """
+    from ..jacobian.film_flow import film_flows
+
+    def film(name: str) -> Nuisance:
+        if not method.follows_film:
+            return by_renders(view, name)
+        flows = film_flows(view, name)
+        return Nuisance(name, "filter term", len(flows), film_flows=flows)
+
+    return opened(view, names, film=film, own=partial(_of_scene, view))
+
+
+def opened(
+    view: Any,
+    names: Sequence[str],
+    *,
+    film: Callable[[str], Nuisance],
+    own: Callable[[str], Nuisance],
+) -> tuple[Nuisance, ...]:
+    """The nuisances of these names in whatever is measured.
+
+    Args:
+        film: opens what acts on the film alone, by name.
+        own: opens what is neither that nor of every camera.
+
+    Raises:
+        NuisanceError: no such coefficient, or a name given twice; and as `film` and `own`.
     """
     if isinstance(names, str):
         raise NuisanceError(f"nuisances are a sequence of names, such as [{names!r}], not one text")
     twice = sorted({name for name in names if list(names).count(name) > 1})
     if twice:
         raise NuisanceError(f"nuisance {', '.join(twice)} was given twice")
-    return tuple(_open(view, name, method) for name in names)
+    return tuple(_open(view, name, film, own) for name in names)
+
+
+def by_renders(view: Any, name: str, step_pixels: float = STEP_PIXELS) -> Nuisance:
+    """What acts on the film alone, by renders through other cameras."""
+    rendered = IntrinsicParameter.of(view, name, step_pixels)
+    return Nuisance(name, rendered[0].how, len(rendered), rendered=rendered)
 
 
 def nuisance_columns(
@@ -130,12 +165,7 @@ def nuisance_columns(
     return np.concatenate(found, axis=-1)
 
 
-def _open(view: View, name: str, method: type[Method]) -> Nuisance:
-    import mitsuba as mi
-
-    from ..jacobian.film_flow import film_flows
-    from ..jacobian.intrinsic_parameter import IntrinsicParameter
-
+def _open(view: Any, name: str, film: Callable[[str], Nuisance], own: Callable[[str], Nuisance]) -> Nuisance:
     base, _, suffix = name.partition(":")
     if base in ("gain", "black") and (not suffix or suffix.isdigit()):
         return Nuisance(name, "the image itself" if base == "gain" else "exact", 1)
@@ -145,13 +175,14 @@ def _open(view: View, name: str, method: type[Method]) -> Nuisance:
             f"{name} is a coefficient of the lens model {having}, and the camera's is a "
             f"{view.intrinsics.model}: give a calibration of such a model, which may have zeros"
         )
-    if name in NAMES and method.follows_film:
-        flows = film_flows(view, name)
-        return Nuisance(name, "filter term", len(flows), film_flows=flows)
-    if name in NAMES:
-        rendered = IntrinsicParameter.of(view, name)
-        return Nuisance(name, rendered[0].how, len(rendered), rendered=rendered)
-    parameters = mi.traverse(view.scene)
+    return film(name) if name in NAMES else own(name)
+
+
+def _of_scene(view: View, name: str) -> Nuisance:
+    """A parameter of `mi.traverse`."""
+    import mitsuba as mi
+
+    parameters, suffix = mi.traverse(view.scene), name.partition(":")[2]
     scale = name not in parameters and suffix == "scale"
     parameter = _scene_parameter(view, parameters, name.removesuffix(":scale") if scale else name, scale)
     return Nuisance(name, parameter.how, len(parameter.directions), rendered=(parameter,))
@@ -162,7 +193,7 @@ def _scene_parameter(view: View, parameters: mi.SceneParameters, key: str, scale
     import drjit as dr
     import mitsuba as mi
 
-    from ..jacobian.parameter import STEP_PIXELS, SceneParameter, is_placement, motions
+    from ..jacobian.parameter import SceneParameter, is_placement, motions
 
     if key not in parameters:
         raise NuisanceError(_no_such(key, parameters))

@@ -30,7 +30,7 @@ class MeasurementKeywords(TypedDict, total=False):
 
     sensor: int | str
     pose: Any
-    method: str
+    method: str | None
     spp: int | None
     precision: float | None
     max_spp: int | None
@@ -67,12 +67,13 @@ class MeasurementOptions:
     """Index or id."""
     pose: Any = None
     """`world_from_camera`, 4x4 or `RigidTransform`, in place of the sensor's own."""
-    method: str = "flow"
-    """A name in `jacobian.methods`."""
+    method: str | None = None
+    """A name in `jacobian.methods`, or of a field in `radiance.methods`; None is the first of them: flow, or
+    exact."""
     spp: int | None = None
     """Paths per pixel over all batches, a multiple of `batches`; None is as many as `precision` takes, where
     they are needed, and `UNIFORM_SPP` where there is no bound to be precise. Finite differences trace 12
-    times that, "forward" 6 times."""
+    times that, "forward" 6 times. Of a field, which has none, this, `precision` and `max_spp` say nothing."""
     precision: float | None = None
     """Relative standard error of every standard deviation that is seen; None is `PRECISION` if there is no
     `spp`."""

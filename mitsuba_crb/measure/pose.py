@@ -14,10 +14,9 @@ from ..information.fisher import FisherInformation
 from ..information.image_jacobian import ImageJacobian
 from ..noise import NoiseModel
 from ..render.lending import in_turn
-from ..render.scene import as_scene
 from .adaptive import answer
 from .measurement import measurement
-from .mitsuba_view import wanted
+from .opening import as_world, wanted
 from .options import MeasurementKeywords, MeasurementOptions
 from .sensing import COLOUR, DEPTH, RGBD
 
@@ -34,7 +33,7 @@ def pose_jacobian(
     """The Jacobian dI/dξ of every selected pixel, in the camera frame.
 
     Args:
-        scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
+        scene: as for `pose_bound`.
         nuisances: names of further parameters for further columns, see `nuisance`.
         options: see `MeasurementOptions`.
 
@@ -66,8 +65,9 @@ def pose_bound(
     """The Cramér–Rao bound on the camera's pose, tile by tile; correlated noise needs the whole Jacobian.
 
     Args:
-        scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`; the last such scene is kept, and traced
-            but once as long as its parameters stay.
+        scene: path of a Mitsuba XML file, of a world's or of a radiance field's, `SceneFile`, dictionary,
+            `mi.Scene` or `Field`; the last `mi.Scene` is kept, and traced but once as long as its parameters
+            stay.
         noise: noise model of the measured image; None is that of a camera exposed for the scene, Gaussian
             with 0.01 of white, above which it is saturated and tells nothing, see `exposure`.
         prior: information known beforehand, see `cramer_rao_bound`.
@@ -147,7 +147,7 @@ def _rgbd_bound(
             "(nuisances=), or give --measure colour or depth"
         )
     start = time.perf_counter()
-    loaded, label = as_scene(scene, wanted(given))
+    loaded, label = as_world(scene, wanted(given))
     of_colour: tuple[str, ...] = ("channels", "exposure", "clip", "on_tile")
     of_depth: tuple[str, ...] = ("depth_sigma", "depth_range", "depth_edges")
     alone: Any = {name: value for name, value in options.items() if name not in of_colour}

@@ -24,19 +24,20 @@ from ..bound.prior import load_prior
 from ..errors import NoiseError, SceneWarning
 from ..files import jsonable
 from ..noise import NoiseModel
-from ..render.fingerprint import fingerprint, mask_fingerprint
+from ..render.fingerprint import mask_fingerprint
 from ..render.lending import in_turn
-from ..render.scene import SceneFile, as_scene
+from ..render.scene import SceneFile
 from ..se3 import Array, Frame
 from .exposure import exposed, start_metering
-from .likeness import UNKNOWN, Likeness, photograph_likenesses
-from .mitsuba_view import wanted
+from .likeness import UNKNOWN, Likeness
+from .measurable import method_of
 from .nuisances import name_parameters
+from .opening import as_world, fingerprint, kind_of, wanted
 from .options import MeasurementKeywords, MeasurementOptions
 from .pose import pose_bound
 from .pose_table import PoseRow, PoseTable
 from .sensing import DEPTH
-from .stations import Station, named, open_stations, stations_of
+from .stations import Station, named, open_stations, photograph_likenesses, stations_of
 from .versions import versions
 
 if TYPE_CHECKING:
@@ -160,6 +161,7 @@ def pose_table(
     source = SceneFile(scene, dict(defines or {})) if isinstance(scene, str | Path) else scene
     known = load_prior(prior) if isinstance(prior, Path) else prior
     loaded, label = _loaded(source, nuisances, stations, options)
+    kind = kind_of(loaded)
     likeness = [UNKNOWN] * len(stations)
     if photographs is not None:
         likeness = photograph_likenesses(loaded, stations, photographs, options)
@@ -171,6 +173,8 @@ def pose_table(
         "defines": dict(defines or {}),
         "poses": {"count": len(stations), "contents": _poses_fingerprint(stations)},
         **_options_said(options),
+        "method": method_of(kind.methods, options.get("method")).name,
+        **({"deterministic": True} if kind.deterministic else {}),
         "cameras": None if cameras is None else _said([camera.to_dict() for camera in cameras]),
         "photographs": None if photographs is None else _said(likeness),
         "noise": _said(noise),
@@ -249,7 +253,7 @@ def _loaded(
 ) -> tuple[Any, str]:
     first = MeasurementOptions(**stations[0].options(options))
     asked = dataclasses.replace(wanted(first), apart=name_parameters(nuisances))
-    return as_scene(scene, asked)
+    return as_world(scene, asked)
 
 
 def _exposed(options: MeasurementKeywords, white: float | None) -> MeasurementKeywords:
@@ -259,12 +263,15 @@ def _exposed(options: MeasurementKeywords, white: float | None) -> MeasurementKe
 def _white(
     loaded: Any, stations: Sequence[Station], noise: NoiseModel | None, options: MeasurementKeywords
 ) -> float | None:
-    """That of the default camera, from all poses' pixels; None if it is not asked for.
+    """That of the default camera, from all poses' pixels if they do not say; None if it is not asked for.
 
     The more poses, the fewer pixels of each.
     """
     if noise is not None or options.get("exposure") is not None or options.get("measure") == DEPTH:
         return None
+    white = kind_of(loaded).white
+    if white is not None:
+        return white
     side = max(_COARSEST, math.ceil(math.sqrt(_POOLED / len(stations))))
     seed = MeasurementOptions(**options).seed
     with open_stations(loaded, stations, options) as opened:

@@ -19,10 +19,10 @@ from ..bound.prior import load_prior
 from ..errors import OptionError
 from ..files import Record
 from ..noise import CoupledNoise, NoiseModel
-from ..render.scene import SceneFile, as_scene
+from ..render.scene import SceneFile
 from ..se3 import Frame
 from .displaced import hcr_bound
-from .mitsuba_view import wanted
+from .opening import as_world, wanted
 from .options import MeasurementKeywords, MeasurementOptions
 from .pictures import Gathering, Pictures
 from .pose import pose_bound
@@ -63,7 +63,7 @@ def bound_report(
     """The bound of a scene's file, and what is asked beside it.
 
     Args:
-        scene: a Mitsuba XML file.
+        scene: a file, as `pose_bound` takes it.
         noise: as for `pose_bound`.
         defines: the file's `<default>`s.
         prior: a file, see `load_prior`.
@@ -102,7 +102,7 @@ def bound_report(
     named = dict(defines or {})
     source: Any = SceneFile(scene, named)
     if hcr:  # which has no nuisances, so that one loaded scene serves both
-        source, _ = as_scene(source, wanted(MeasurementOptions(**options)))
+        source, _ = as_world(source, wanted(MeasurementOptions(**options)))
     bound = pose_bound(
         source, noise, prior=known, nuisances=nuisances, **_gathered(options, gathering)
     ).to_frame(frame)

@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .. import se3
-from ..errors import MitsubaCRBError, OptionError, PoseError
+from ..errors import CaptureError, MitsubaCRBError, OptionError, PoseError
 from ..se3 import Array
-from .mitsuba_view import MitsubaView, open_measurable
+from .likeness import UNKNOWN, Likeness, compared
+from .measurable import Measurable
+from .opening import open_measurable
 from .options import MeasurementKeywords, MeasurementOptions
 
 if TYPE_CHECKING:
@@ -74,13 +76,13 @@ def stations_of(
 @contextmanager
 def open_stations(
     loaded: Any, stations: Sequence[Station], options: MeasurementKeywords
-) -> Iterator[Iterator[MitsubaView]]:
+) -> Iterator[Iterator[Measurable]]:
     """The views of all stations, one after another, of a scene that is opened once."""
     with open_measurable(loaded, MeasurementOptions(**stations[0].options(options))) as view:
         yield (_seen_from(view, station, options) for station in stations)
 
 
-def _seen_from(view: MitsubaView, station: Station, options: MeasurementKeywords) -> MitsubaView:
+def _seen_from(view: Measurable, station: Station, options: MeasurementKeywords) -> Measurable:
     if station.camera is None:
         return view.at(station.pose)
     size = options.get("size")
@@ -88,6 +90,43 @@ def _seen_from(view: MitsubaView, station: Station, options: MeasurementKeywords
         return view.seen_through(station.camera if size is None else station.camera.scaled(size)).at(
             station.pose
         )
+
+
+def photograph_likenesses(
+    loaded: Any,
+    stations: Sequence[Station],
+    photographs: Sequence[str | Path | None],
+    options: MeasurementKeywords,
+) -> list[Likeness]:
+    """How like its photograph the render at each pose is.
+
+    Args:
+        loaded: the scene.
+        stations: the poses.
+        photographs: files of each pose's; None: it has none.
+        options: of the measurement.
+
+    Returns:
+        One a pose; of NaN where there is no photograph, or one of another shape than the camera's image.
+
+    Raises:
+        CaptureError: there are not as many as poses, or one is no image.
+    """
+    if len(photographs) != len(stations):
+        raise CaptureError(f"{len(stations)} poses have {len(photographs)} photographs")
+    seed = MeasurementOptions(**options).seed
+    # Colours, whatever is measured there.
+    seen: MeasurementKeywords = {
+        "sensor": options.get("sensor", MeasurementOptions.sensor),
+        "integrator": options.get("integrator"),
+        "size": options.get("size"),
+        "camera": options.get("camera"),
+    }
+    with open_stations(loaded, stations, seen) as views:
+        return [
+            UNKNOWN if file is None else compared(view, Path(file), seed)
+            for view, file in zip(views, photographs, strict=True)
+        ]
 
 
 @contextmanager

@@ -93,8 +93,7 @@ def fuse_team(team: Team, *, workers: int | None = None, on_agent: Progress | No
     Raises:
         MitsubaCRBError: as `pose_bound` and `fuse`, the agent named.
     """
-    team = _exposed(team, workers)
-    bounds, texts = _each(_bound, team, workers, on_agent)
+    bounds, texts = _each(_bound, team, workers, on_agent, _exposures(team, workers))
     transforms = team.transforms([bound.information.pose for bound in bounds])
     agents = [
         Agent(member.name, bound.information, transform)
@@ -128,8 +127,7 @@ def select_team(
     Raises:
         MitsubaCRBError: as `tile_information` and `select_tiles`, the agent named.
     """
-    team = _exposed(team, workers)
-    measured, texts = _each(_tiles, team, workers, on_agent)
+    measured, texts = _each(_tiles, team, workers, on_agent, _exposures(team, workers))
     own, images = zip(*measured, strict=True)
     agents = about_common_body(own, team.transforms([tiles.pose for tiles in own]), variable=team.body)
     limits = replace(
@@ -163,22 +161,26 @@ def _per_agent(
     return {name: limit for name, limit in own.items() if limit is not None} if asked is None else asked
 
 
-def _exposed(team: Team, workers: int | None) -> Team:
-    """The team with one exposure for all default cameras, from their pooled values, unless it has its own."""
+def _exposures(team: Team, workers: int | None) -> dict[str, dict[str, Any]]:
+    """One exposure for all default cameras but those that say theirs, by name, from their pooled values."""
     metered = tuple(member for member in team.members if member.noise is None)
     if len(metered) < 2 or team.measure.get("exposure") is not None:
-        return team
-    values, _ = _each(_metered, replace(team, members=metered), workers, None)
-    found = exposed(*np.concatenate([part.reshape(2, -1) for part in values], axis=1))
-    if found is None:  # each says for itself why it is black
-        return team
-    return replace(team, measure={**team.measure, "exposure": found.white})
+        return {}
+    found, _ = _each(_metered, replace(team, members=metered), workers, None)
+    values = {
+        member.name: part.reshape(2, -1)
+        for member, part in zip(metered, found, strict=True)
+        if part is not None
+    }
+    exposure = exposed(*np.concatenate(list(values.values()), axis=1)) if len(values) > 1 else None
+    # Of one alone, and where all is black, each says for itself.
+    return {} if exposure is None else {name: {"exposure": exposure.white} for name in values}
 
 
 @in_turn
-def _metered(job: Job) -> NDArray[np.float64]:
+def _metered(job: Job) -> NDArray[np.float64] | None:
     with measurement(SceneFile(job.member.scene, job.member.defines), **job.options) as run:
-        return start_metering(run.view, run.options.seed)()
+        return None if run.view.white is not None else start_metering(run.view, run.options.seed)()
 
 
 class _Outcome(NamedTuple):
@@ -190,14 +192,24 @@ class _Outcome(NamedTuple):
 
 
 def _each(
-    measure: Callable[[Job], T], team: Team, workers: int | None, on_agent: Progress | None
+    measure: Callable[[Job], T],
+    team: Team,
+    workers: int | None,
+    on_agent: Progress | None,
+    further: Mapping[str, dict[str, Any]] | None = None,
 ) -> tuple[list[T], tuple[str, ...]]:
     """What is measured of every member, in the team's order, and what was warned of, each once.
+
+    Args:
+        further: options of some of them, by name.
 
     Warns:
         If a member fails, of what it has warned before.
     """
-    jobs = [(measure, Job(member, team.options(member), team.tiles)) for member in team.members]
+    jobs = [
+        (measure, Job(member, team.options(member) | (further or {}).get(member.name, {}), team.tiles))
+        for member in team.members
+    ]
     outcomes: dict[int, _Outcome] = {}
     with closing(in_processes(_outcome, jobs, workers, prepare=same_variant())) as ended:
         for index, outcome in ended:

@@ -41,7 +41,7 @@ def tile_information(
     """What every tile of one agent's image tells about its camera's pose.
 
     Args:
-        scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
+        scene: as for `pose_bound`.
         noise: noise model of the measured image, of independent pixels; None as for `pose_bound`.
         agent: the agent's name; None is the sensor's.
         tile_size: side, or width and height, of the tiles [pixel]; those at the image's rim are cut.

@@ -36,12 +36,14 @@ class Measured:
     mix: tuple[float, float, float] | None = None
     """l of a camera with one channel; None: all three are measured."""
     depth: DepthPixels | None = None
-    """Where there is a depth; None: what is measured is radiance."""
+    """Where there is a depth; None: what is measured is light."""
+    unit: str = "radiance"
+    """Of the values and of σ."""
 
     @property
-    def unit(self) -> str:
-        """Of the values and of σ."""
-        return "radiance" if self.depth is None else "scene unit"
+    def is_colour(self) -> bool:
+        """Whether all three numbers are measured."""
+        return self.mix is None
 
     def values(self, image: Array) -> Array:
         """(..., 1 or 3) what is measured of an image (..., 3)."""
@@ -73,4 +75,4 @@ CHANNELS = {
 
 def depth(pixels: DepthPixels) -> Measured:
     """A depth camera."""
-    return Measured("depth", (1.0, 0.0, 0.0), pixels)
+    return Measured("depth", (1.0, 0.0, 0.0), pixels, "scene unit")

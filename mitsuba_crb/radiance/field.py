@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,7 @@ class Viewpoint:
     """(4, 4) `world_from_camera`, in the field's own frame."""
 
 
+@runtime_checkable
 class Field(Protocol):
     """A radiance field."""
 

@@ -36,7 +36,7 @@ class SceneFile:
     path: str | os.PathLike[str]
     """Of the XML file, or of a world's (see `world`)."""
     defines: Mapping[str, str] = field(default_factory=dict)
-    """Values of its `<default>`s; of a world: up, light and fov."""
+    """Values of its `<default>`s; of a world: up, light and fov; of splats: variant and background."""
 
 
 @contextlib.contextmanager

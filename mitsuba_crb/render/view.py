@@ -99,6 +99,15 @@ class View:
         return Intrinsics(self.size, (fx, fy), (cx, cy))
 
     @property
+    def plain_fov_deg(self) -> float:
+        """Horizontal field of view of the film without the lens' distortion; of a sensor, of all its film."""
+        import mitsuba as mi
+
+        if self.calibration is None:
+            return float(np.asarray(mi.traverse(self.sensor)["x_fov"]).ravel()[0])
+        return self.calibration.intrinsics.plain_fov_deg
+
+    @property
     def film_map(self) -> FilmMap | None:
         """From the camera's film to the sensor's; None if they are the same."""
         return None if self.calibration is None else self.calibration.film_map

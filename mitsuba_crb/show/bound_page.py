@@ -174,7 +174,9 @@ def _title(figure: Figure, bound: PoseBound, pictures: Pictures, total: float) -
     if not np.isfinite(pictures.image).all():
         parts.append("grey: not measured")
     if "method" in facts:
-        parts.append(f"{facts['method']}, {facts['spp']} spp")
+        parts.append(
+            facts["method"] if facts.get("deterministic") else f"{facts['method']}, {facts['spp']} spp"
+        )
     if "sigma" in facts.get("noise", {}):
         parts.append(f"noise σ = {facts['noise']['sigma']:.3g}")
     parts += [f"rank {bound.rank} of 6", f"length scale {bound.length_scale:.3g} scene units"]

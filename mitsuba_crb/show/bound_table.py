@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from ..bound.hcr import HCRBound
     from ..measure.report import BoundReport
 
+DETERMINISTIC = "deterministic: there are no paths, and the errors are those of rounding"
+"""Of fields, in place of the number of paths."""
+
 _POSITION = ("position x, world", "position y, world", "position z, world")
 _ROTATION = ("pitch, about {} x", "yaw, about {} y", "roll, about {} z")
 
@@ -186,7 +189,7 @@ def _bound_facts(bound: PoseBound) -> list[tuple[str, str]]:
     if facts.get("prior"):
         rows.append(("prior", f"{facts['prior']}, included"))
     inflation = facts.get("noise_inflation")
-    if inflation is not None:
+    if inflation is not None and not facts.get("deterministic"):
         if math.isinf(inflation):
             claim = "information where there is none"
         elif inflation >= 1:
@@ -198,7 +201,7 @@ def _bound_facts(bound: PoseBound) -> list[tuple[str, str]]:
     rows.append(
         (
             "method",
-            f"{facts['method']}, {_paths(facts)}, seed {facts['seed']}",
+            f"{facts['method']}, {_paths(facts)}",
         )
     )
     differences = facts.get("finite_differences") or {}
@@ -209,9 +212,10 @@ def _bound_facts(bound: PoseBound) -> list[tuple[str, str]]:
 
 
 def measured_facts(measures: dict[str, Any]) -> list[tuple[str, str]]:
-    """What is measured, if it is not colour, and which pixels tell a depth."""
+    """What is measured, if it is not colour's radiance, and which pixels tell a depth."""
     if measures.get("what", "colour") == "colour":
-        return []
+        unit = measures.get("unit", "radiance")
+        return [] if unit == "radiance" else [("measures", f"colour, {unit}")]
     depth = measures.get("depth", measures)
     if "pixels" not in depth:
         return [("measures", f"{measures['what']}, one channel [{measures['unit']}]")]
@@ -229,15 +233,17 @@ def measured_facts(measures: dict[str, Any]) -> list[tuple[str, str]]:
 
 def _paths(facts: dict[str, Any]) -> str:
     """How many there were, and where they went."""
-    sampling = facts.get("sampling")
+    if facts.get("deterministic"):
+        return DETERMINISTIC
+    sampling, seed = facts.get("sampling"), f"seed {facts['seed']}"
     if sampling is None:
-        return f"{facts['spp']} paths per pixel in {facts['batches']} batches"
+        return f"{facts['spp']} paths per pixel in {facts['batches']} batches, {seed}"
     spp, rounds = sampling["spp"], len(sampling["rounds"])
     own = f"{spp['most']} paths per pixel"
     if spp["least"] < spp["most"]:
         own = f"{spp['least']} to {own} ({spp['mean']:.3g} on average)"
     before = f", after {rounds} round{'s' * (rounds > 1)} that decided on them" if rounds else ""
-    return f"{own} in {facts['batches']} batches{before}"
+    return f"{own} in {facts['batches']} batches{before}, {seed}"
 
 
 def unobserved_facts(bound: PoseBound) -> list[tuple[str, str]]:
@@ -271,7 +277,8 @@ def _noise(noise: dict[str, Any]) -> str:
     sigma, origin = noise.get("sigma"), noise.get("origin")
     named = str(noise.get("description", "given"))
     if sigma is not None:
-        named = f"Gaussian, σ = {sigma:.4g}" + " scene unit" * (noise.get("unit") == "scene unit")
+        unit = noise.get("unit", "radiance")
+        named = f"Gaussian, σ = {sigma:.4g}" + ("" if unit == "radiance" else f" {unit}")
     text = named if not origin else f"{named} (given)" if origin == "given" else f"{named}: {origin}"
     share = noise.get("saturated")
     if share is None:

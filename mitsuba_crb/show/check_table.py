@@ -51,7 +51,7 @@ def print_check(console: Console, check: JacobianCheck, warnings: Iterable[str] 
         "agree": f"{' and '.join(row.method for row in check.rows)} and finite_difference agree{seen}",
         "disagree": f"{' and '.join(check.disagreeing)} {verb} with finite_difference{seen}",
         "inconclusive": f"inconclusive: {check.cure}{seen}",
-    }[check.verdict] + f", by {check.spp} paths per pixel"
+    }[check.verdict] + ("" if check.spp is None else f", by {check.spp} paths per pixel")
     print_line(console, Text(sentence, style="green" if check.verdict == "agree" else "bold yellow"))
     print_notes(console, warnings)
 

@@ -18,7 +18,7 @@ from ..measure.likeness import Likeness, unlike
 from ..measure.options import PRECISION
 from ..measure.pose_table import ranks
 from ..measure.sensing import COLOUR, DEPTH
-from .bound_table import lens
+from .bound_table import DETERMINISTIC, lens
 from .terminal import new_table, print_facts, print_line, print_notes
 
 if TYPE_CHECKING:
@@ -202,7 +202,7 @@ def _facts(table: PoseTable) -> list[tuple[str, str]]:
     if settings.get("nuisances"):
         facts.append(("not known either", ", ".join(settings["nuisances"])))
     if "method" in settings:
-        facts.append(("method", f"{settings['method']}, {_paths(settings)}, seed {settings['seed']}"))
+        facts.append(("method", f"{settings['method']}, {_paths(settings)}"))
     seconds = [row.seconds for row in rows if math.isfinite(row.seconds)]
     if seconds:
         facts.append(("time", f"{sum(seconds):.1f} s, {np.median(seconds):.2g} s for a pose (median)"))
@@ -232,9 +232,12 @@ def _noise_of_colour(settings: dict[str, Any]) -> str:
 
 
 def _paths(settings: dict[str, Any]) -> str:
+    if settings.get("deterministic"):
+        return DETERMINISTIC
+    seed = f"seed {settings['seed']}"
     if settings.get("spp") is not None:
-        return f"{settings['spp']} paths per pixel in {settings['batches']} batches"
-    return f"as many paths as {100 * (settings.get('precision') or PRECISION):.3g} % take"
+        return f"{settings['spp']} paths per pixel in {settings['batches']} batches, {seed}"
+    return f"as many paths as {100 * (settings.get('precision') or PRECISION):.3g} % take, {seed}"
 
 
 def _listed(names: list[str]) -> str:

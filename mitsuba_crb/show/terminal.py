@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from ..measure.adaptive import Round
 
 _UNSEEN = "∞ (unseen)"
+_DIGITS = 6
+"""After the first, the most that a value with a small error is given."""
 
 
 def new_table() -> Table:
@@ -54,9 +56,12 @@ def number_with_error(value: float, error: float) -> tuple[str, str]:
     exponent = math.floor(math.log10(abs(value))) if value else 0
     shift = 0 if -5 <= exponent < 5 else exponent
     last = math.floor(math.log10(error)) - 1 if known else exponent - 3
-    digits = max(0, min(12, shift - last))
+    small = last < exponent - _DIGITS  # nobody reads so many digits
+    digits = max(0, min(12, shift - (exponent - _DIGITS if small else last)))
     suffix = f"e{shift:+03d}" if shift else ""
     written = f"{value / 10.0**shift:.{digits}f}{suffix}"
+    if small:
+        return written, f"± {error:.1e}"
     return written, f"± {error / 10.0**shift:.{digits}f}{suffix}" if known else "± unknown"
 
 

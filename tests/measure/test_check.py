@@ -160,7 +160,7 @@ def test_what_the_reference_does_not_see_is_no_alarm_and_no_agreement(
 
 def test_steps_that_disagree_decide_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Steps as long as the filter is wide, at which a board's outline is washed out."""
-    monkeypatch.setattr("mitsuba_crb.measure.check.step_for", lambda _: 0.6)
+    monkeypatch.setattr("mitsuba_crb.jacobian.finite_difference.step_for", lambda _: 0.6)
     check = check_jacobian(board("gaussian"), spp=256)
     assert (check.verdict, check.paths) == ("inconclusive", None)
     assert "finite differences by 0.6 and 1.2 pixels disagree" in str(check)
