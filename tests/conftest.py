@@ -62,3 +62,12 @@ def captures() -> Path:
     if not folder.is_dir():
         pytest.skip("needs ../shared/data/multiview")
     return folder
+
+
+@pytest.fixture
+def gaussians() -> Path:
+    """Splats by others; tests that need them are skipped where they are absent."""
+    folder = ROOT.parent / "shared" / "data" / "gaussians"
+    if not folder.is_dir():
+        pytest.skip("needs ../shared/data/gaussians")
+    return folder
