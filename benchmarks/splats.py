@@ -1,0 +1,200 @@
+"""Splats: what image and columns cost, up to a million of them, and what a rasteriser's cuts do to F.
+
+    python benchmarks/splats.py                  # all of it; ten minutes on 2 cores
+    python benchmarks/splats.py --only cost      # image and columns beside the image alone
+    python benchmarks/splats.py --only million   # one million splats; time against their number and pixels
+    python benchmarks/splats.py --only cuts      # the uncut picture beside the cut one, and F of both
+
+Needs ../shared/data/gaussians. Times are medians of warm calls that take turns, each from a pose of its own:
+projection, sorting and blending, to NumPy arrays. `cuts` uses the slow twin of tests/radiance with INRIA's
+cuts (opacity below 1/255, 3 σ, transmittance below 1e-4) on a crop of each real splat; differences are
+central ones of 0.02 pixels, at the order of depth of the middle pose or sorted anew.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "tests" / "radiance"))
+
+from ewa_twin import INRIA, Cuts, picture  # noqa: E402  the twin lives with the tests
+from splat_views import REAL, pixels_of, real_camera, real_splats, real_views  # noqa: E402
+
+from mitsuba_crb import se3  # noqa: E402
+from mitsuba_crb.camera import Camera  # noqa: E402
+from mitsuba_crb.datasets.splats import Splats  # noqa: E402
+from mitsuba_crb.radiance.gaussians import Gaussians  # noqa: E402
+
+DATA = ROOT.parent / "shared" / "data" / "gaussians"
+ROUNDS = 5
+console = Console(width=120)
+
+
+def turns(tasks: list[Callable[[np.ndarray], object]], pose: np.ndarray, rounds: int) -> list[float]:
+    """Median seconds of each task, which take turns; every call from another pose."""
+    seconds: list[list[float]] = [[] for _ in tasks]
+    count = 0
+    for turn in range(rounds + 1):
+        for task, own in zip(tasks, seconds, strict=True):
+            count += 1
+            moved = pose @ se3.exp([0.0, 0.0, 0.0, 0.0, 1e-3 * count, 0.0])
+            start = time.perf_counter()
+            task(moved)
+            if turn > 0:  # the first one compiles
+                own.append(time.perf_counter() - start)
+    return [statistics.median(own) for own in seconds]
+
+
+def both(field: Gaussians, camera: Camera) -> list[Callable[[np.ndarray], object]]:
+    """The image, and the image with its columns."""
+    pixels = pixels_of(camera)
+    return [
+        lambda pose: field.show(camera, pose, pixels),
+        lambda pose: field.columns(camera, pose, pixels),
+    ]
+
+
+def cost() -> None:
+    """Image and six columns beside the image alone."""
+    table = Table("splats", "pixels", "image [s]", "with columns [s]", "times", title="cost, warm")
+    for name in REAL:
+        field = Gaussians(real_splats(name, DATA))
+        for width in (256, 512):
+            image, columns = turns(both(field, real_camera(width)), real_views(name)[0], ROUNDS)
+            table.add_row(
+                f"{name}, {len(field.splats)}",
+                f"{width}²",
+                f"{image:.3f}",
+                f"{columns:.3f}",
+                f"{columns / image:.2f}",
+            )
+    console.print(table)
+
+
+def multiplied(splats: Splats, count: int) -> Splats:
+    """As many splats, each split into smaller ones within it, which cover about what it did."""
+    rng = np.random.default_rng(0)
+    times = -(-count // len(splats))
+    which = np.repeat(np.arange(len(splats)), times)[:count]
+    normal = rng.normal(size=(count, 3))
+    split = replace(
+        splats,
+        means=splats.means[which] + np.einsum("nij,nj->ni", splats.factors[which], normal),
+        rotations=splats.rotations[which],
+        scales=splats.scales[which] / times ** (1.0 / 3.0),
+        opacities=splats.opacities[which],
+        coefficients=splats.coefficients[which],
+    )
+    return split
+
+
+def million() -> None:
+    """Time against the number of splats and of pixels."""
+    guitar, pose = real_splats("guitar", DATA), real_views("guitar")[0]
+    table = Table(
+        "splats", "pixels", "image [s]", "with columns [s]", "listed pairs", title="a million, warm"
+    )
+    found = []
+    for count, width in [(125_000, 512), (250_000, 512), (500_000, 512), (1_000_000, 512)] + [
+        (1_000_000, width) for width in (128, 256, 1024)
+    ]:
+        field, camera = Gaussians(multiplied(guitar, count)), real_camera(width)
+        image, columns = turns(both(field, camera), pose, 3)
+        pairs = field._seen(camera, pose, None).pairs
+        table.add_row(f"{count}", f"{width}²", f"{image:.2f}", f"{columns:.2f}", f"{pairs}")
+        found.append((count, width**2, columns))
+    console.print(table)
+    by_count, by_pixels = found[:4], sorted([*found[4:], found[3]], key=lambda row: row[1])
+    for what, rows, k in (("splats", by_count, 0), ("pixels", by_pixels, 1)):
+        x, y = np.log([row[k] for row in rows]), np.log([row[2] for row in rows])
+        console.print(f"time grows as the number of {what} to the power {np.polyfit(x, y, 1)[0]:.2f}")
+
+
+def cuts() -> None:
+    """The picture without cuts beside that with them, and F of both."""
+    table = Table(
+        "view", "PSNR [dB]", "F cut / F uncut", "analytic / differences: uncut", "cut", "re-sorting adds"
+    )
+    rows, columns = np.indices((48, 48))
+    pixels = np.stack([columns, rows], axis=-1).reshape(-1, 2) + 40
+    camera = real_camera(128)
+    for name in REAL:
+        splats = real_splats(name, DATA)
+        for number, pose in enumerate(real_views(name)[:2]):
+            field = Gaussians(splats)
+            uncut = field.columns(camera, pose, pixels)
+            shown = field.show(camera, pose, pixels)
+            depth = float(np.nanmedian(shown.depth))
+            cut = picture(splats, camera, pose, pixels, cuts=INRIA)
+            error = np.mean((np.clip(uncut[0], 0.0, 1.0) - np.clip(cut.values, 0.0, 1.0)) ** 2)
+            psnr = -10.0 * np.log10(error)
+
+            def moved(
+                twist: np.ndarray, kept: np.ndarray | None, how: Cuts | None, pose=pose, splats=splats
+            ) -> np.ndarray:
+                at = pose @ se3.exp(twist)
+                if how is None:
+                    return field.show(camera, at, pixels, kept=kept).values  # noqa: B023  called at once
+                return picture(splats, camera, at, pixels, kept=kept, cuts=how, columns=False).values
+
+            def differences(
+                how: Cuts | None, kept: np.ndarray | None, depth=depth, moved=moved
+            ) -> np.ndarray:
+                turn = camera.angles(0.02)
+                step = np.concatenate([turn[[1, 0]] * depth, [0.02 / 128 * depth], turn])
+                ends = [
+                    [moved(sign * step[k] * np.eye(6)[k], kept, how) for sign in (1, -1)] for k in range(6)
+                ]
+                return np.stack(
+                    [(one - other) / (2 * s) for (one, other), s in zip(ends, step, strict=True)], axis=-1
+                )
+
+            def diagonal(J: np.ndarray) -> np.ndarray:
+                return np.sum(J**2, axis=(0, 1))
+
+            analytic, with_cuts = diagonal(uncut[1]), diagonal(cut.columns)
+            frozen = diagonal(differences(None, pose))
+            table.add_row(
+                f"{name} {number}",
+                f"{psnr:.1f}",
+                between(with_cuts / analytic),
+                between(analytic / frozen),
+                between(with_cuts / diagonal(differences(INRIA, pose))),
+                between(diagonal(differences(None, None)) / frozen - 1.0),
+            )
+    console.print(table)
+
+
+def between(values: np.ndarray) -> str:
+    """The least and the largest of six."""
+    return f"{values.min():.3f} to {values.max():.3f}"
+
+
+SECTIONS = {"cost": cost, "million": million, "cuts": cuts}
+
+
+def main() -> None:
+    """Run what was asked for."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", choices=SECTIONS, action="append")
+    if not DATA.is_dir():
+        raise SystemExit(f"needs {DATA}")
+    for name in parser.parse_args().only or SECTIONS:
+        SECTIONS[name]()
+
+
+if __name__ == "__main__":
+    main()
