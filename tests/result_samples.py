@@ -24,6 +24,7 @@ from mitsuba_crb.bound.consistency import consistency
 from mitsuba_crb.bound.coordinates import to_coordinates
 from mitsuba_crb.bound.cramer_rao import PoseBound, cramer_rao_bound, joint_bound
 from mitsuba_crb.bound.hcr import hammersley_chapman_robbins
+from mitsuba_crb.bound.misspecified import misspecified_covariance
 from mitsuba_crb.bound.prior import prior_from_dict
 from mitsuba_crb.camera import Camera, Intrinsics
 from mitsuba_crb.datasets.photographs import Capture, Photograph
@@ -48,6 +49,7 @@ from mitsuba_crb.measure.pose_table import PoseTable
 from mitsuba_crb.measure.report import BoundReport
 from mitsuba_crb.measure.teams import TeamFusion, TeamSelection
 from mitsuba_crb.noise import Gaussian
+from mitsuba_crb.noise.residuals import residual_covariance
 
 
 def samples() -> Iterator[Record]:
@@ -170,6 +172,10 @@ def _bounds(rng: np.random.Generator) -> Iterator[Record]:
     yield consistency(rng.normal(size=(9, 6)), found["world"].information)
     yield prior_from_dict({"frame": "world", "position_std": 0.1})
     yield prior_from_dict({"frame": "camera", "covariance": np.linalg.inv(definite(rng)).tolist()})
+    residuals = residual_covariance(rng.normal(size=(2, 12, 14, 3)))
+    yield residuals
+    for view in (synthetic_view.jacobian(16, 12), synthetic_view.jacobian(16, 12, unseen=(2,))):
+        yield misspecified_covariance(view, Gaussian(0.1), residuals)
     yield BoundReport(found["world"], None, None)
     yield BoundReport(found["plain"], hcr, pictures_of(synthetic_view.jacobian(8, 10), information(rng)))
 

@@ -120,7 +120,7 @@ class PoseBound(Record):
 
     def to_frame(self, frame: Frame) -> PoseBound:
         """The same bound with its matrices in another frame."""
-        twist = _twist(self.inverse, frame)
+        twist = twist_functionals(self.inverse, frame)
         return dataclass_replace(
             self,
             frame=frame,
@@ -247,7 +247,7 @@ def cramer_rao_bound(
     if prior is not None and not isinstance(prior, FisherInformation | PosePrior):
         prior = positive_matrix(prior, "the prior's information", OptionError, size=6)
     inverse = Inverse(information, prior)
-    position, turn, twist = position_functionals(inverse), TURN, _twist(inverse, information.frame)
+    position, turn, twist = position_functionals(inverse), TURN, twist_functionals(inverse, information.frame)
     position_covariance, rotation_covariance = inverse.covariance(position), inverse.covariance(turn)
     with np.errstate(invalid="ignore"):
         position_std = np.sqrt(np.diagonal(position_covariance))
@@ -316,7 +316,7 @@ def joint_bound(
     return dataclass_replace(bound, joint=joint, if_known=if_known)
 
 
-def _twist(inverse: Inverse, frame: Frame) -> Array:
+def twist_functionals(inverse: Inverse, frame: Frame) -> Array:
     """(6, 6), the unscaled twist in a frame."""
     twist = np.diag(inverse.scale)
     return twist if frame == "camera" else se3.adjoint(inverse.total.pose) @ twist

@@ -15,13 +15,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import NoiseError, OptionError, PixelsError, RadianceError
-from ..noise import CoupledNoise
 from ..se3 import Array
 from .block_variance import BlockProducts
 from .blocks import in_squares
@@ -50,6 +49,13 @@ less of the variance, single pixels take ten times as long."""
 
 
 _CHUNK = 4096  # pixels whose products are held at once, about
+
+
+class Coupling(Protocol):
+    """What couples pixels: a noise that is correlated between them."""
+
+    def solve(self, pixels: NDArray[np.integer], values: Array) -> Array:
+        """See `CoupledNoise.solve`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +218,7 @@ class InformationAccumulator:
     def add_coupled(
         self,
         batch_values: ArrayLike,
-        noise: CoupledNoise,
+        noise: Coupling,
         pixels: ArrayLike,
         bias: NDArray[np.float64] | None = None,
     ) -> None:
