@@ -65,9 +65,9 @@ def read_sparse(path: Path, fault: Fault) -> Any:
     return _read(path, fault, ".npz file of a sparse matrix", _sparse)
 
 
-def read_grey(path: Path, fault: Fault) -> NDArray[np.uint8]:
-    """An image's grey values (H, W)."""
-    return _read(path, fault, "image", _grey)
+def read_grey(path: Path, fault: Fault, *, upright: bool = False) -> NDArray[np.uint8]:
+    """An image's grey values (H, W); `upright` as of `read_colours`."""
+    return _read(path, fault, "image", lambda data: _grey(data, upright))
 
 
 def read_image_size(path: Path, fault: Fault) -> tuple[int, int]:
@@ -82,9 +82,15 @@ def read_image_size(path: Path, fault: Fault) -> tuple[int, int]:
         raise fault(f"cannot read {path}: {reason}") from error
 
 
-def read_colours(path: Path, fault: Fault) -> NDArray[np.float32]:
-    """An image's values (H, W, 4), red, green, blue and opacity as stored, from 0 to 1."""
-    return _read(path, fault, "image", _colours)
+def read_colours(path: Path, fault: Fault, *, upright: bool = False) -> NDArray[np.float32]:
+    """An image's values (H, W, 4), red, green, blue and opacity as stored, from 0 to 1.
+
+    Args:
+        path: of the file.
+        fault: the class of error.
+        upright: turned as its EXIF orientation says it is to be shown, not as its pixels are stored.
+    """
+    return _read(path, fault, "image", lambda data: _colours(data, upright))
 
 
 def _read(path: Path, fault: Fault, kind: str, decode: Callable[[bytes], T]) -> T:
@@ -138,15 +144,24 @@ def _sparse(data: bytes) -> Any:
     return matrix
 
 
-def _grey(data: bytes) -> NDArray[np.uint8]:
+def _grey(data: bytes, upright: bool) -> NDArray[np.uint8]:
     from PIL import Image
 
     with Image.open(io.BytesIO(data)) as picture:
-        return np.asarray(picture.convert("L"))
+        return np.asarray(_turned(picture, upright).convert("L"))
 
 
-def _colours(data: bytes) -> NDArray[np.float32]:
+def _colours(data: bytes, upright: bool) -> NDArray[np.float32]:
     from PIL import Image
 
     with Image.open(io.BytesIO(data)) as picture:
-        return np.asarray(picture.convert("RGBA"), dtype=np.float32) / np.float32(255.0)
+        if picture.mode[0] in "IF":  # which PIL's conversion cuts off at 255
+            raise ValueError(f"its values are of PIL's mode {picture.mode}; save it with 8 bits per channel")
+        values = _turned(picture, upright).convert("RGBA")
+        return np.asarray(values, dtype=np.float32) / np.float32(255.0)
+
+
+def _turned(picture: Any, upright: bool) -> Any:
+    from PIL import ImageOps
+
+    return ImageOps.exif_transpose(picture) if upright else picture
