@@ -72,7 +72,11 @@ def picture(
     transmittance = np.ones((k, len(film)), dtype=complex)
     colour, depth = np.zeros((k, len(film), 3), dtype=complex), np.zeros((k, len(film)), dtype=complex)
     drawn = project(splats, order, camera, pose, twists, DILATION[variant], variant != "classic")
-    for mean, conic, opacity, light, distance in zip(*drawn, strict=True):
+    # What covers less than 1e-13 of every pixel would only cost time.
+    beyond = np.maximum(film.min(axis=0) - drawn[0][:, 0].real, drawn[0][:, 0].real - film.max(axis=0))
+    beyond = np.sum(np.maximum(beyond, 0.0) ** 2, axis=1)
+    near_enough = beyond * np.linalg.eigvalsh(drawn[1][:, 0].real)[:, 0] < 60.0
+    for mean, conic, opacity, light, distance in zip(*(part[near_enough] for part in drawn), strict=True):
         d = mean[:, None] - film
         power = -0.5 * np.einsum("kni,kij,knj->kn", d, conic, d)
         alpha = opacity[:, None] * np.exp(power)

@@ -46,6 +46,22 @@ def odd_splats(degree: int = 1) -> Splats:
     return Splats(means, few.rotations, scales, opacities, coefficients)
 
 
+def wall_of_splats(count: int = 250) -> Splats:
+    """A wall that many overlapping splats paint smoothly."""
+    rng = np.random.default_rng(0)
+    quaternions = rng.normal(size=(count, 4))
+    means = np.concatenate([rng.uniform(-2, 2, (count, 2)), rng.normal(3.5, 0.1, (count, 1))], axis=1)
+    x, y, _ = means.T
+    colours = 0.5 + 0.5 * np.stack([np.sin(2 * x), np.cos(2 * y), np.sin(x + y)], axis=1)
+    return Splats(
+        means,
+        quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True),
+        rng.uniform(0.15, 0.3, (count, 3)),
+        rng.uniform(0.1, 0.9, count),
+        colours[:, None].astype(np.float32),
+    )
+
+
 def pixels_of(camera: Camera) -> np.ndarray:
     """All, row by row."""
     rows, columns = np.indices(camera.size[::-1])
@@ -78,8 +94,8 @@ def real_views(name: str) -> list[np.ndarray]:
     """Three poses of each; all have y down."""
     up = np.array([0.0, -1.0, 0.0])
     if name == "hall":
-        targets = np.array([[0.0, 0.0, 400.0], [150.0, 20.0, 400.0], [-120.0, -40.0, 400.0]])
-        eyes = np.array([[0.0, 0.0, 0.0], [30.0, -10.0, 40.0], [-40.0, 20.0, 20.0]])
+        targets = np.array([[0.0, 0.0, 400.0], [60.0, 0.0, 400.0], [-120.0, -40.0, 400.0]])
+        eyes = np.array([[0.0, 0.0, 0.0], [20.0, -20.0, -40.0], [-40.0, 20.0, 20.0]])
         return [looking(eye, target, up) for eye, target in zip(eyes, targets, strict=True)]
     target, distance = {
         "guitar": (np.array([0.2, -1.8, 0.2]), 4.0),
