@@ -5,19 +5,19 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..datasets.splats import is_splats
+from ..errors import FieldError
 from ..render.scene import SceneFile
 from .field import Field
 
 _LETTERS = 16
 
-Loader = Callable[[Path, Mapping[str, str]], Field | None]
-"""Makes a field of a file and what is said of it, by name; None if the file is none of its kind."""
-
-_LOADERS: tuple[Loader, ...] = ()
+SPLAT_OPTIONS = ("variant", "background")
+"""What may be said of a file of splats: classic, antialiased or mip; a grey, or red, green and blue."""
 
 
 def as_field(world: Any) -> Field | None:
@@ -31,11 +31,8 @@ def as_field(world: Any) -> Field | None:
     source = SceneFile(world) if isinstance(world, str | os.PathLike) else world
     if not isinstance(source, SceneFile):
         return None
-    for load in _LOADERS:
-        field = load(Path(source.path), source.defines)
-        if field is not None:
-            return field
-    return None
+    file = Path(source.path)
+    return _splats(file, source.defines) if is_splats(file) else None
 
 
 def field_fingerprint(field: Field, source: Any = None, defines: Mapping[str, str] | None = None) -> str:
@@ -51,3 +48,33 @@ def field_fingerprint(field: Field, source: Any = None, defines: Mapping[str, st
     if isinstance(source, str | os.PathLike):
         digest.update(Path(source).read_bytes())
     return digest.hexdigest()[:_LETTERS]
+
+
+def _splats(file: Path, said: Mapping[str, str]) -> Field:
+    from .gaussians import load_gaussians
+
+    _check(file, "splats", said, SPLAT_OPTIONS)
+    options: dict[str, Any] = dict(said)
+    if "background" in said:
+        options["background"] = _colour(said["background"])
+    return load_gaussians(file, **options)
+
+
+def _check(file: Path, kind: str, said: Mapping[str, str], known: Sequence[str]) -> None:
+    unknown = sorted(set(said) - set(known))
+    if unknown:
+        raise FieldError(
+            f"{file} has no {', '.join(unknown)}; {kind} have {', '.join(known) or 'nothing to say'}"
+        )
+
+
+def _colour(text: str) -> float | list[float]:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (1, 3):
+        raise FieldError(
+            f"-D background={text} is neither a grey such as 1, nor red, green and blue: 1,0.5,0"
+        )
+    return numbers if len(numbers) == 3 else numbers[0]

@@ -79,14 +79,14 @@ def test_paths_and_tiles_and_subsets_mean_nothing_to_it() -> None:
 
 
 def test_rounding_is_the_only_error_and_is_stated() -> None:
-    """Errors of 40 draws of it, over those that are stated, have the root mean square 1, within a third."""
+    """Errors of 24 draws of it, over those that are stated, have the root mean square 1, within a half."""
     true = _stds(pose_bound(soft_blobs.many(), SIGMA))
-    found = [pose_bound(soft_blobs.many(rounding=1e-4, draw=k), SIGMA) for k in range(1, 41)]
+    found = [pose_bound(soft_blobs.many(rounding=1e-4, draw=k), SIGMA) for k in range(1, 25)]
     errors = np.array([bound.relative_standard_error for bound in found])
     off = np.array([_stds(bound) for bound in found]) / true - 1.0
     assert np.all(errors < 1e-2)
     ratio = np.sqrt(np.mean((off / errors) ** 2, axis=0))
-    assert np.all((ratio > 0.67) & (ratio < 1.5)), ratio
+    assert np.all((ratio > 0.6) & (ratio < 1.6)), ratio
 
 
 def test_a_turn_that_changes_nothing_is_unseen_whatever_the_rounding() -> None:
@@ -281,12 +281,12 @@ def test_alignment_recovers_the_pose() -> None:
 
 def test_trials_attain_the_bound_and_not_that_of_half_the_noise() -> None:
     options: dict[str, Any] = {"perturb_deg": 0.3, "perturb_trans": 0.01, "sigma": 0.01}
-    result = validate(soft_blobs.many(), trials=24, confidence=0.999, **options)
+    result = validate(soft_blobs.many(), trials=16, confidence=0.999, **options)
     assert result.settings["spp"] == 0
     assert abs(result.excess) < 1e-6
     assert not result.failed
     assert result.verdict == "consistent"
-    half = validate(soft_blobs.many(), trials=24, assumed_sigma=0.005, confidence=0.999, **options)
+    half = validate(soft_blobs.many(), trials=16, assumed_sigma=0.005, confidence=0.999, **options)
     assert half.verdict == "inconsistent"
 
 
