@@ -63,9 +63,7 @@ def _splats(file: Path, said: Mapping[str, str]) -> Field:
 def _check(file: Path, kind: str, said: Mapping[str, str], known: Sequence[str]) -> None:
     unknown = sorted(set(said) - set(known))
     if unknown:
-        raise FieldError(
-            f"{file} has no {', '.join(unknown)}; {kind} have {', '.join(known) or 'nothing to say'}"
-        )
+        raise FieldError(f"{file} has no {', '.join(unknown)}; {kind} have {', '.join(known)}")
 
 
 def _colour(text: str) -> float | list[float]:
@@ -74,7 +72,5 @@ def _colour(text: str) -> float | list[float]:
     except ValueError:
         numbers = []
     if len(numbers) not in (1, 3):
-        raise FieldError(
-            f"-D background={text} is neither a grey such as 1, nor red, green and blue: 1,0.5,0"
-        )
+        raise FieldError(f"-D background={text} is neither a grey, such as 1, nor three numbers: 1,0.5,0")
     return numbers if len(numbers) == 3 else numbers[0]
