@@ -21,7 +21,7 @@ from ..errors import FieldError, FieldWarning, NuisanceError, OptionError, Senso
 from ..jacobian.lint import precision_findings
 from ..jacobian.method import Method, Paths, Reference
 from ..noise import Measured
-from ..noise.measured import COLOUR
+from ..noise.measured import COLOUR, DISPLAY_REFERRED
 from ..radiance.beside import beside
 from ..radiance.exact import FIELD_METHODS, FIELD_REFERENCE, STEP_PIXELS
 from ..radiance.field import Field, Viewpoint
@@ -31,9 +31,6 @@ from ..render.rays import coarse_grid
 from .likeness import compared, unlike
 from .nuisances import FILM_NAMES, Nuisance, by_renders, opened
 from .options import MeasurementOptions
-
-UNIT = "display-referred"
-"""Of a field's values."""
 
 _GRID = 96
 """Pixels across and down through which depth is looked at."""
@@ -217,7 +214,7 @@ def open_field_view(field: Field, options: MeasurementOptions) -> Iterator[Field
             intrinsics,
             se3.as_pose(pose),
             variable,
-            dataclasses.replace(measured, unit=UNIT),
+            dataclasses.replace(measured, unit=DISPLAY_REFERRED),
         )
         field.refuse(view.camera)
         if photograph is not None:

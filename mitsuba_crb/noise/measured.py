@@ -14,6 +14,9 @@ from ..errors import NoiseError
 from .colour import REC709, Luminance
 from .protocol import Array, CoupledNoise, NoiseModel
 
+RADIANCE, DISPLAY_REFERRED = "radiance", "display-referred"
+"""Units of colour: linear, and as photographs show it, where 1 is white."""
+
 
 @dataclass(frozen=True)
 class DepthPixels:
@@ -37,7 +40,7 @@ class Measured:
     """l of a camera with one channel; None: all three are measured."""
     depth: DepthPixels | None = None
     """Where there is a depth; None: what is measured is light."""
-    unit: str = "radiance"
+    unit: str = RADIANCE
     """Of the values and of σ."""
 
     @property

@@ -16,6 +16,7 @@ from matplotlib.ticker import FuncFormatter
 
 from ..files import atomic
 from ..measure.pictures import Pictures
+from ..noise.measured import DISPLAY_REFERRED, RADIANCE
 from .plot import (
     AXIS_NAMES,
     MUTED,
@@ -80,8 +81,13 @@ def bound_figure(bound: PoseBound, pictures: Pictures, *, sigma: float = 1.0) ->
         return place(lefts[column] + wide + _BAR[0], tops[row], _BAR[1], high)
 
     image, columns = pictures.image, pictures.columns
-    draw_render(grid[0][0], image)
-    _caption(grid[0][0], "Render", "sRGB, white at the 99th percentile", wide)
+    measures = bound.provenance.get("measures", {})
+    measures = measures.get("colour", measures)
+    measured_unit = measures.get("unit", RADIANCE)
+    displayed = measured_unit == DISPLAY_REFERRED
+    draw_render(grid[0][0], image, displayed=displayed)
+    white = "as it is displayed" if displayed else "sRGB, white at the 99th percentile"
+    _caption(grid[0][0], "Render", white, wide)
     _caption(grid[1][0], "Fisher information", f"trace per {_cell(width)}", wide)
     if bound.rank:
         drawn = draw_information(grid[1][0], pictures.information)
@@ -97,7 +103,7 @@ def bound_figure(bound: PoseBound, pictures: Pictures, *, sigma: float = 1.0) ->
             drawn = draw_column(ax, columns[..., 3 * row + axis], limit=limit)
             name = rf"$\partial I / \partial {symbol}_{'xyz'[axis]}$"
             _caption(ax, name, f"{motion} {names[axis]}", wide)
-        _signed_bar(figure, drawn, place_bar(3, row), f"radiance / {unit}")
+        _signed_bar(figure, drawn, place_bar(3, row), f"{measured_unit} / {unit}")
 
     top = tops[1] + high
     _weakest(figure, place, pictures, (lefts[0], top + _CAPTION, wide, high))

@@ -46,19 +46,21 @@ _SPAN = 1e-4  # of a map's largest value; what is less has the darkest colour
 _TILT = 0.1
 
 
-def draw_render(ax: Axes, image: npt.NDArray[np.floating[Any]]) -> AxesImage:
+def draw_render(ax: Axes, image: npt.NDArray[np.floating[Any]], *, displayed: bool = False) -> AxesImage:
     """The image, with its 99th percentile as white, in sRGB.
 
     Args:
         ax: where to draw.
         image: (H, W, 3) linear RGB [radiance]; NaN (not measured) is drawn grey.
+        displayed: its values are those of a display, 1 is white: drawn as they are.
     """
     measured = np.isfinite(image).all(axis=-1)
-    white = np.percentile(image[measured], 99) if measured.any() else 1.0
-    linear = np.clip(np.nan_to_num(image) / (white if white > 0 else 1.0), 0.0, 1.0)
-    srgb = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    srgb[~measured] = int(_UNMEASURED[1:3], 16) / 255
-    return draw_picture(ax, srgb)
+    white = np.percentile(image[measured], 99) if measured.any() and not displayed else 1.0
+    shown = np.clip(np.nan_to_num(image) / (white if white > 0 else 1.0), 0.0, 1.0)
+    if not displayed:
+        shown = np.where(shown <= 0.0031308, 12.92 * shown, 1.055 * shown ** (1 / 2.4) - 0.055)
+    shown[~measured] = int(_UNMEASURED[1:3], 16) / 255
+    return draw_picture(ax, shown)
 
 
 def draw_column(ax: Axes, column: npt.NDArray[np.floating[Any]], *, limit: float | None = None) -> AxesImage:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 
@@ -48,6 +49,22 @@ def test_render_is_srgb():
     image[0, 0] = 0.2140411  # linear value of sRGB 0.5
     shown = np.asarray(plot.draw_render(axes(), image).get_array())
     np.testing.assert_allclose(shown[0, 0], 0.5, atol=1e-5)
+
+
+def test_a_displayed_image_is_shown_as_it_is():
+    image = np.array([[[0.5, 0.25, 0.75], [1.5, -0.1, 0.1]]])
+    shown = np.asarray(plot.draw_render(axes(), image, displayed=True).get_array())
+    np.testing.assert_array_equal(shown, np.clip(image, 0.0, 1.0))
+
+
+def test_the_page_names_the_unit_of_what_is_measured():
+    for measures, unit in (({}, "radiance"), ({"unit": "display-referred"}, "display-referred")):
+        view = synthetic_view.jacobian()
+        bound = synthetic_view.bound(view)
+        bound = dataclasses.replace(bound, provenance={**bound.provenance, "measures": measures})
+        drawn = page.bound_figure(bound, pictures_of(view, bound.information))
+        labels = [ax.get_ylabel() for ax in drawn.axes]
+        assert sum(label.endswith((f"{unit} / rad", f"{unit} / scene unit")) for label in labels) == 2
 
 
 @pytest.mark.parametrize("image", [np.zeros((3, 4, 3)), np.full((3, 4, 3), np.nan)])
