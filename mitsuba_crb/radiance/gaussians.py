@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
@@ -27,12 +28,36 @@ from ..render.backend import use_mitsuba
 from .field import ORDERS, Floats, Pixels, Shown, Viewpoint
 from .splat_blending import Drawing, blended
 from .splat_projection import DILATION, TILE, Cloud, Lens
-from .splat_tiles import Tiled, tiled
+from .splat_tiles import Places, Tiled, tiled
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 NEAR = 0.2
 """Centres up to this depth are left out, as INRIA's rasteriser does [unit of the field]."""
 _NOTHING = 1.0 / 255.0
 """Where less is covered, nothing is seen that has a depth."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lanes:
+    """Pixels on their way into a kernel."""
+
+    drawing: Drawing
+    pixel: Pixels
+    """(lanes,) which of the pixels each is; a lone one is there twice."""
+    first: Places
+    last: Places
+    """(lanes,) where each one's splats begin and end in `Drawing.members`."""
+    film: Floats
+    """(lanes, 2) from the principal point [pixel]."""
+
+    def arrays(self) -> tuple[mi.UInt32, mi.UInt32, mi.Vector2f]:
+        """First, last and film as kernel input."""
+        import mitsuba as mi
+
+        film = mi.Vector2f(*(upload(mi.Float, column) for column in self.film.T))
+        return upload(mi.UInt32, self.first), upload(mi.UInt32, self.last), film
 
 
 class Gaussians:
@@ -154,41 +179,39 @@ class Gaussians:
         columns: bool,
     ) -> tuple[Floats, Floats]:
         """Colour, Σ T α z and T of pixels (n, 5), and slopes (n, 3, 6 or 0)."""
-        import mitsuba as mi
-
-        self.refuse(camera)
         if order not in range(ORDERS):
             raise FieldError(f"the order of summation is 0 or 1, not {order!r}")
-        pixels = np.asarray(pixels, dtype=np.int64)
         n = len(pixels)
         if n == 0:
             return np.empty((0, 5)), np.empty((0, 3, 6 if columns else 0))
+        lanes = self.lanes(camera, pose, pixels, kept)
+        colour, depth, clear, slopes = blended(lanes.drawing, *lanes.arrays(), order, columns)
+        dr.eval(colour, depth, clear, slopes)
+        values = np.empty((n, 5))
+        values[lanes.pixel] = download([*colour, depth, clear]).T
+        found = np.empty((n, 3, len(slopes)))
+        for j, slope in enumerate(slopes):
+            found[lanes.pixel, :, j] = download(slope).T
+        return values, found
+
+    def lanes(self, camera: Camera, pose: Floats, pixels: Pixels, kept: Floats | None = None) -> Lanes:
+        """Pixels (n > 0) as a kernel's lanes, which see the splats of their tiles; arguments as of `show`."""
+        import mitsuba as mi
+
+        self.refuse(camera)
+        pixels = np.asarray(pixels, dtype=np.int64)
         seen = self._seen(camera, np.asarray(pose, dtype=np.float64), kept)
         tile = pixels[:, 1] // TILE * -(-camera.size[0] // TILE) + pixels[:, 0] // TILE
         # Lanes of one tile stand together: they read the same splats.
-        lanes = widened(np.argsort(tile.astype(np.uint32), kind="stable"))
-        film = (pixels + 0.5 - camera.centre)[lanes]
-        colour, depth, clear, slopes = blended(
-            Drawing(
-                seen.records,
-                seen.members,
-                Lens.of(camera),
-                self.variant,
-                mi.Color3f(*(dr.opaque(mi.Float, float(x)) for x in self.background)),
-            ),
-            upload(mi.UInt32, seen.first[tile[lanes]]),
-            upload(mi.UInt32, seen.first[tile[lanes] + 1]),
-            mi.Vector2f(*(upload(mi.Float, film[:, j]) for j in range(2))),
-            order,
-            columns,
+        pixel = widened(np.argsort(tile.astype(np.uint32), kind="stable"))
+        background = mi.Color3f(*(dr.opaque(mi.Float, float(x)) for x in self.background))
+        return Lanes(
+            Drawing(seen.records, seen.members, Lens.of(camera), self.variant, background),
+            pixel,
+            seen.first[tile[pixel]],
+            seen.first[tile[pixel] + 1],
+            (pixels + 0.5 - camera.centre)[pixel],
         )
-        dr.eval(colour, depth, clear, slopes)
-        values = np.empty((n, 5))
-        values[lanes] = download([*colour, depth, clear]).T
-        found = np.empty((n, 3, len(slopes)))
-        for j, slope in enumerate(slopes):
-            found[lanes, :, j] = download(slope).T
-        return values, found
 
     def _seen(self, camera: Camera, pose: Floats, kept: Floats | None) -> Tiled:
         """Splats by tile; those of the last pose are at hand, for tile after tile of one image."""

@@ -166,3 +166,50 @@ def _over(state: list[Any], one: _Laid, change: list[Any], light: list[Any]) -> 
     for j, shift in enumerate(light):
         slopes[j] += one.alpha * shift
     return [colour + one.alpha * over, rest * depth + one.alpha * one.z, clear * rest, slopes, covered]
+
+
+@dr.syntax  # type: ignore[untyped-decorator]
+def shares(
+    drawing: Drawing,
+    first: mi.UInt32,
+    last: mi.UInt32,
+    film: mi.Vector2f,
+    start: mi.UInt32,
+    size: int,
+    total: mi.Color3f,
+    opacities: bool,
+) -> list[mi.Float]:
+    """What each lane's value follows of each of its splats.
+
+    Args:
+        first, last, film: as in `blended`.
+        start: where a lane's numbers begin.
+        size: how many there are of all lanes.
+        total: C of each lane, for opacities.
+        opacities: with respect to ln o; else to c.
+
+    Returns:
+        dI/dc = T α, of every channel; or dI/d ln o of red, green and blue, each (size,).
+    """
+    import mitsuba as mi
+
+    found = [dr.zeros(mi.Float, size) for _ in range(3 if opacities else 1)]
+    colour, clear, i, number = mi.Color3f(0.0), mi.Float(1.0), mi.UInt32(0), last - first
+    while dr.hint(
+        (i < number) & (clear > _OPAQUE),
+        exclude=[drawing, first, last, film, start, size, total, opacities, found, number],
+        label="shares",
+    ):
+        one = _laid(drawing, first + i, film)
+        rest = 1.0 - one.alpha
+        colour += clear * one.alpha * one.colour
+        if dr.hint(opacities, mode="scalar"):
+            # What lies behind shows through by T (1 − α): total − colour.
+            change = one.movable * (clear * one.colour - (total - colour) / rest)
+            for j in range(3):
+                dr.scatter(found[j], change[j], start + i)
+        else:
+            dr.scatter(found[0], clear * one.alpha, start + i)
+        clear *= rest
+        i += 1
+    return found

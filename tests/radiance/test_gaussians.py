@@ -194,7 +194,7 @@ def twin_differences(
 
 
 def test_with_a_rasterisers_cuts_the_analytic_columns_are_too_small() -> None:
-    splats, pixels = wall_of_splats(), ALL[::3]
+    splats, pixels = wall_of_splats(), ALL[::7]
     whole, cut = (picture(splats, SMALL, POSE, pixels, cuts=cuts).columns for cuts in (Cuts(), INRIA))
     honest = twin_differences(splats, SMALL, pixels, 0.005, Cuts())
     np.testing.assert_allclose(information(whole) / information(honest), 1.0, atol=1e-3)
