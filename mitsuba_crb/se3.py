@@ -184,6 +184,12 @@ def pose_from_vector(vector: str | ArrayLike) -> Array:
     return pose
 
 
+def vector_from_pose(pose: ArrayLike) -> Array:
+    """(x, y, z, qx, qy, qz, qw) of world_from_camera; qw is not negative."""
+    matrix = np.asarray(pose, dtype=np.float64)
+    return np.concatenate([matrix[:3, 3], Rotation.from_matrix(matrix[:3, :3]).as_quat(canonical=True)])
+
+
 def pose_from_numbers(values: Any) -> Array:
     """A pose, 4 x 4, from nested lists of 16 numbers, or from the seven x y z qx qy qz qw.
 

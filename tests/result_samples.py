@@ -28,9 +28,11 @@ from mitsuba_crb.bound.misspecified import misspecified_covariance
 from mitsuba_crb.bound.prior import prior_from_dict
 from mitsuba_crb.camera import Camera, Intrinsics
 from mitsuba_crb.datasets.photographs import Capture, Photograph
+from mitsuba_crb.datasets.pictures import Comparable, Picture
 from mitsuba_crb.datasets.pose_list import Poses
 from mitsuba_crb.errors import PrecisionWarning
 from mitsuba_crb.estimate.align import Alignment
+from mitsuba_crb.estimate.photograph import Candidate, PhotographAlignment
 from mitsuba_crb.estimate.renderer_part import renderer_part
 from mitsuba_crb.estimate.tracks import FeatureTracks
 from mitsuba_crb.estimate.trial import Trial
@@ -44,10 +46,12 @@ from mitsuba_crb.information.linearisation import PixelSelection
 from mitsuba_crb.information.significance import no_information
 from mitsuba_crb.measure.check import JacobianCheck, MethodCheck
 from mitsuba_crb.measure.diagnosis import Diagnosis, Row
+from mitsuba_crb.measure.held_out import HeldOut
 from mitsuba_crb.measure.pictures import pictures_of
 from mitsuba_crb.measure.pose_table import PoseTable
 from mitsuba_crb.measure.report import BoundReport
 from mitsuba_crb.measure.teams import TeamFusion, TeamSelection
+from mitsuba_crb.measure.tone import Tone
 from mitsuba_crb.noise import Gaussian
 from mitsuba_crb.noise.residuals import residual_covariance
 
@@ -268,7 +272,59 @@ def _trials(rng: np.random.Generator) -> Iterator[Record]:
         renderer=judged,
         further=(dataclasses.replace(lost, index=9),),
     )
-    yield Alignment(bound.information.pose, "out of iterations", 1.0, 30, bound, 0.1, np.eye(6), 0, 2)
+    yield from _photographs(rng)
+
+
+def _photographs(rng: np.random.Generator) -> Iterator[Record]:
+    yield Picture("a.jpg", rng.random((4, 5, 3)), np.ones((4, 5)))
+    yield from (found := alignment(rng)).candidates
+    yield from (found.alignment, found.measured, found.alignment.tone, found)
+    assert found.held_out is not None
+    yield found.held_out
+    alone = dataclasses.replace(found.alignment, status="diverged", misspecified=None, tone=Tone("known"))
+    yield dataclasses.replace(found, alignment=alone, held_out=None, display=True)
+
+
+def alignment(rng: np.random.Generator) -> PhotographAlignment:
+    """Of a photograph with saturated pixels, from two starts, beside photographs held out."""
+    view = with_nuisances(rng)
+    residuals = rng.normal(size=(2, 16, 12, 3))
+    beside = misspecified_covariance(view, Gaussian(0.1), residual_covariance(residuals))
+    values = 0.5 * view.image
+    values[:2, :3] = np.nan
+    pose = view.pose
+    found = Alignment(
+        pose=pose,
+        status="converged",
+        residual=1.0,
+        iterations=12,
+        bound=beside.ideal,
+        excess=0.1,
+        added=np.eye(6),
+        masked=6,
+        invalid=2,
+        tone=Tone("channels", np.array([1.3, 1.2, 1.1]), np.array([0.05, 0.04, 0.03])),
+        rms=0.1,
+        noise={"model": "gaussian", "sigma": 0.1, "description": "Gaussian, sigma = 0.1", "origin": "given"},
+        image=values + 0.05 * rng.normal(size=values.shape),
+        misspecified=beside,
+    )
+    near = Candidate("near.jpg", pose @ se3.exp([0.1, 0, 0, 0, 0.1, 0]), pose, "converged", 0.11)
+    far = Candidate("far.jpg", np.eye(4), np.eye(4), "diverged", np.inf)
+    settings = {
+        "scene": "scenes/relief/relief.xml",
+        "photograph": "photo.jpg",
+        "photograph_size": [24, 32],
+        "size": [12, 16],
+        "noise": "held out",
+        "levels": 1,
+        "estimator": "levenberg_marquardt",
+        "spp": 64,
+    }
+    noise = 1e-4 * np.tile(np.eye(3), (2, 1, 1))
+    held_out = HeldOut(("a", "b"), tuple(residuals), noise, (found.tone, found.tone))
+    measured = Comparable(values, 4, 2)
+    return PhotographAlignment(found, (near, far), measured, False, 28.0, 12.0, held_out, settings)
 
 
 def _findings(rng: np.random.Generator) -> Iterator[Record]:

@@ -2,7 +2,8 @@
 
 Nothing heavy is imported before it is needed, so that `--help` answers at once and `doctor` works
 where Mitsuba does not load. Exit codes: 0; 2 for every mistake that has a message; 130 for Ctrl-C; 70 for
-an error that nobody foresaw; `check` has its own (0 agree, 1 disagree, 3 inconclusive).
+an error that nobody foresaw; `check` has its own (0 agree, 1 disagree, 3 inconclusive), and so have
+`validate` and `align`.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Annotated
 import typer
 
 from .. import __version__
+from .align import align
 from .bound import bound
 from .check import check
 from .doctor import doctor
@@ -30,7 +32,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="How precisely could any algorithm estimate this camera's pose from this image of this scene?",
 )
-for _command in (bound, check, fuse, select, validate, doctor):
+for _command in (bound, align, check, fuse, select, validate, doctor):
     app.command()(_command)
 
 

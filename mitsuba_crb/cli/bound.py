@@ -29,6 +29,8 @@ from .options import (
     Method,
     NoClip,
     ParquetFile,
+    PhotoEncoding,
+    Photographs,
     Pixels,
     Pose,
     Poses,
@@ -53,6 +55,8 @@ def bound(
     poses: Poses = None,
     convention: Convention = None,
     images: Images = None,
+    photographs: Photographs = None,
+    photo_encoding: PhotoEncoding = "srgb",
     method: Method = MeasurementOptions.method,
     spp: Spp = None,
     precision: Precision = None,
@@ -158,7 +162,7 @@ def bound(
 
         check_pose_options(
             poses,
-            single={"--pose": pose, "--hcr": hcr, "--exr": exr_file},
+            single={"--pose": pose, "--hcr": hcr, "--exr": exr_file, "--photographs": photographs},
             many={
                 "--convention": convention,
                 "--images": images,
@@ -186,7 +190,7 @@ def bound(
         defines = scene_defines(scene, define, light, up)
         noise = parse_noise(sigma, noise_file)
         twists = parse_displacements(displacements, hcr=hcr)
-        given = [poses, prior, noise_file, displacements]
+        given = [poses, prior, noise_file, displacements, photographs]
         inputs = [*view_files(scene, pose, camera, pixels), *(file for file in given if file is not None)]
         targets = {"--json": json_file, "--csv": csv_file, "--parquet": parquet_file}
         targets |= {"--exr": exr_file, "--plot": plot_file}
@@ -198,11 +202,13 @@ def bound(
             options |= {"noise": noise, "defines": defines, "own_cameras": camera is None}
             return bound_poses(scene, poses, convention, images, **options)
 
+        from ..datasets.captures import load_capture
         from ..export.documents import bound_document, write_json
         from ..export.exr import write_exr
         from ..measure.report import bound_report
         from ..show.bound_table import print_report
 
+        capture = None if photographs is None else load_capture(photographs)
         with measuring() as (bar, _):  # the bound's provenance repeats the warnings
             report = bound_report(
                 scene,
@@ -211,13 +217,16 @@ def bound(
                 hcr=hcr,
                 displacements=twists,
                 pictures=bool(exr_file or plot_file),
+                capture=capture,
+                encoding=photo_encoding,
                 on_progress=bar,
                 on_round=bar.after,
                 **options,
             )
         with answered(lambda to: print_report(to, report)):
             if json_file is not None:
-                write_json(json_file, bound_document(report.bound, report.hcr))
+                document = bound_document(report.bound, report.hcr, report.misspecified, report.held_out)
+                write_json(json_file, document)
             if exr_file is not None and report.pictures is not None:
                 write_exr(exr_file, report.pictures, report.attributes)
             if plot_file is not None and report.pictures is not None:

@@ -69,6 +69,18 @@ Images = Annotated[
         "file.",
     ),
 ]
+Photographs = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="CAPTURE",
+        help="A capture in the scene's frame, whose held-out photographs say what the map does not explain: "
+        "the noise, if none is given, and the misspecified covariance beside the ideal bound.",
+    ),
+]
+PhotoEncoding = Annotated[
+    Literal["srgb", "linear"],
+    typer.Option("--photo-encoding", help="What the values of photographs are."),
+]
 CsvFile = Annotated[
     Path | None,
     typer.Option(

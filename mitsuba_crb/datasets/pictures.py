@@ -73,11 +73,11 @@ def read_picture(file: Path, mask: Path | None = None) -> Picture:
     colours = read_colours(file, AlignmentError, upright=True).astype(np.float64)
     opacity = colours[:, :, 3]
     if mask is not None:
-        own = read_grey(mask, AlignmentError, upright=True) / 255.0
+        own = read_grey(mask, AlignmentError, upright=True) > 127
         if own.shape != opacity.shape:
             (down, across), (height, width) = own.shape, opacity.shape
             raise AlignmentError(f"the mask {mask} has {across}x{down} pixels, {file} {width}x{height}")
-        opacity = opacity * own
+        opacity = np.where(own, opacity, 0.0)
     return Picture(str(file), colours[:, :, :3], opacity)
 
 

@@ -1,7 +1,7 @@
 """Estimate a camera's pose from one image: where the scene looks like it (`misfit`, `optimisers`).
 
-A search goes through reduced images first, if asked to, then through the image itself; then anchors are
-rendered, each where the search from the one before has ended, until that stays.
+A search goes through reduced images first, if asked to (`approach`), then through the image itself; then
+anchors are rendered, each where the search from the one before has ended, until that stays.
 """
 
 from __future__ import annotations
@@ -13,14 +13,18 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..bound.cramer_rao import PoseBound, cramer_rao_bound
+from ..bound.cramer_rao import PoseBound, joint_bound
+from ..bound.misspecified import MisspecifiedCovariance, misspecified_covariance
 from ..errors import AlignmentError, NoiseError, PrecisionWarning
 from ..files import Record
 from ..information.image_information import as_noise_model
+from ..information.joint import joint_information
 from ..measure.measurement import measurement
 from ..measure.opening import as_world, open_measurable, wanted
 from ..measure.options import MeasurementKeywords, MeasurementOptions
-from ..noise import CoupledNoise, IndependentNoise, NoiseModel
+from ..measure.tone import TONES, Tone, ToneKind
+from ..noise import CoupledNoise, Gaussian, IndependentNoise, NoiseModel
+from ..noise.residuals import ResidualCovariance
 from ..render.lending import in_turn
 from ..se3 import Array
 from .misfit import Anchor, Misfit
@@ -31,6 +35,8 @@ ESTIMATORS = ("gauss_newton", "levenberg_marquardt", "adam")
 
 _ANCHORS = 3
 """At most so many, each where the search from the one before has ended."""
+_LEAST_SIGMA = 1e-6
+"""Of noise that residuals tell, over the largest value: of an image without noise they are rounding."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -55,17 +61,29 @@ class Alignment(Record):
     """Pixels left out because the measured image is NaN or infinite there."""
     invalid: int
     """Pixels left out because the scene's radiance is, from the estimate (`drop_invalid`)."""
+    tone: Tone
+    """Gain and black level of the measured image, at the estimate."""
+    rms: float
+    """Root mean square of y − R [value], without the renderer's noise."""
+    noise: dict[str, Any]
+    """What the bound assumes, JSON-able; its "origin" is "given" or "residuals"."""
+    image: Array
+    """(H, W, 3), R at the estimate [value]; NaN where it is not compared."""
+    misspecified: MisspecifiedCovariance | None = None
+    """What the estimate is worth by residuals of other images, if there were any."""
 
 
 @in_turn
 def align(
     scene: Any,
     image: ArrayLike,
-    noise: NoiseModel,
+    noise: NoiseModel | None,
     *,
     estimator: str = "gauss_newton",
     iterations: int = 30,
     levels: int = 0,
+    tone: ToneKind = "known",
+    residuals: ResidualCovariance | None = None,
     anchor: Anchor | None = None,
     learning_rate: float = 0.01,
     batch_pixels: int = 512,
@@ -75,11 +93,15 @@ def align(
 
     Args:
         scene: as for `pose_bound`.
-        image: (H, W, 3) measured linear RGB [radiance]; pixels that are not finite are left out.
-        noise: its noise, independent between pixels and channels.
+        image: (H, W, 3) measured linear RGB [radiance], or another value of which `tone` says what is not
+            known; pixels that are not finite are left out.
+        noise: its noise, independent between pixels and channels; None: white, as large as the residuals.
         estimator: one of `ESTIMATORS`.
         iterations: at most, on each level.
         levels: how many times the image is first reduced by two, for starts that are further away.
+        tone: whether gain and black level are "known" to be 1 and 0, "common" to the channels, or those of
+            each of the "channels"; the bound is then that of a pose among them.
+        residuals: of other images at known poses, for `Alignment.misspecified`.
         anchor: of the last level; by default rendered where the search would otherwise have ended.
         learning_rate: of Adam, first step [rad, length scales]; falls to 0.8 of it every 100 steps.
         batch_pixels: of Adam, pixels of each step.
@@ -97,29 +119,23 @@ def align(
         MitsubaCRBError: as `pose_jacobian`.
     """
     measured = _checked_image(image)
-    _check_arguments(estimator, iterations, levels)
-    model = _checked_noise(noise, measured)
+    _check_arguments(estimator, iterations, levels, tone)
+    model = Gaussian(1.0) if noise is None else _checked_noise(noise, measured)
     options["size"] = _size(measured, scene, options)
     loaded, _ = as_world(scene, wanted(MeasurementOptions(**options)))
-    damping = DAMPING if estimator == "levenberg_marquardt" else 0.0
-    count, words = 0, None
+    damping, count, words = _damping(estimator), 0, None
     if levels:
-        with measurement(loaded, **options) as run:
-            # Chosen once, where the search starts: a reduced image is of the same pixels.
-            options["pixels"], words = run.mask, run.selection.description
-        left = run.mask[..., None] & np.isfinite(measured).all(axis=2, keepdims=True)
-        for small, of_small in pyramid(np.where(left, measured, np.nan), model, levels):
-            coarse: MeasurementKeywords = {
-                **options,
-                "size": (small.shape[1], small.shape[0]),
-                "pixels": None,
-            }
-            with measurement(loaded, **coarse) as run:
-                misfit = Misfit(run, small, of_small, None)
-                pose, status, steps = least_squares(misfit, run.view.pose, damping, iterations)
-                count += steps
-            if status != "diverged":
-                options["pose"] = pose
+        near = approach(
+            loaded,
+            measured,
+            noise,
+            levels=levels,
+            estimator=estimator,
+            iterations=iterations,
+            tone=tone,
+            **options,
+        )
+        options, words, count = near.options, near.words, near.iterations
     with measurement(loaded, **options) as run:
         if not run.view.measured.is_colour:
             raise AlignmentError(
@@ -127,41 +143,137 @@ def align(
                 "(pixel_format) and of --channels"
             )
         run.warn_of_limits()
-        misfit = Misfit(run.only(description=words), measured, model, anchor)
+        misfit = Misfit(run.only(description=words), measured, model, anchor, Tone(tone))
         if estimator == "adam":
             pose, status, steps = adam(misfit, run.view.pose, learning_rate, batch_pixels, iterations)
         else:
             pose, status, steps = least_squares(misfit, run.view.pose, damping, iterations)
-            for _ in range(_ANCHORS if anchor is None else 0):
+            for _ in range(_ANCHORS if anchor is None else int(noise is None)):
                 if status != "converged":
                     break
                 start = pose
-                misfit.tie(misfit.anchor(start))
+                if anchor is None:
+                    misfit.tie(misfit.anchor(start))
+                if noise is None:  # what a small step is depends on it
+                    misfit.assume(_noise_of_residuals(misfit, start))
                 pose, status, more = least_squares(misfit, start, damping, iterations)
                 steps += more
                 if misfit.motion(start, pose) < SMALL_MOTION:
                     break
-        return _result(misfit, pose, status, count + steps)
+        if noise is None:
+            misfit.differentiate(pose)
+            misfit.assume(_noise_of_residuals(misfit, pose))
+        origin = "residuals" if noise is None else "given"
+        return _result(misfit, pose, status, count + steps, origin, residuals)
 
 
-def _result(misfit: Misfit, pose: Array, status: Status, iterations: int) -> Alignment:
+@dataclasses.dataclass(frozen=True, eq=False)
+class Approach:
+    """Where a search through reduced images has ended."""
+
+    options: MeasurementKeywords
+    """Of the image itself, with the pose to go on from, and the chosen pixels by name."""
+    words: str
+    """What these pixels are called."""
+    status: Status
+    """On the last level."""
+    rms: float
+    """Root mean square of y − R on the last level [value]; infinite where no level was searched."""
+    iterations: int
+    """Over all levels."""
+
+
+@in_turn
+def approach(
+    scene: Any,
+    image: ArrayLike,
+    noise: NoiseModel | None,
+    *,
+    levels: int,
+    estimator: str = "levenberg_marquardt",
+    iterations: int = 30,
+    tone: ToneKind = "known",
+    **options: Unpack[MeasurementKeywords],
+) -> Approach:
+    """Search through reduced images alone, for a start of `align` without levels; arguments as there.
+
+    Raises:
+        MitsubaCRBError: as `align`.
+    """
+    measured = _checked_image(image)
+    _check_arguments(estimator, iterations, levels, tone)
+    model = Gaussian(1.0) if noise is None else _checked_noise(noise, measured)
+    options["size"] = _size(measured, scene, options)
+    loaded, _ = as_world(scene, wanted(MeasurementOptions(**options)))
+    count, rms = 0, np.inf
+    status: Status = "out of iterations"
+    with measurement(loaded, **options) as run:
+        # Chosen once, where the search starts: a reduced image is of the same pixels.
+        found: MeasurementKeywords = {**options, "pixels": run.mask}
+        words = run.selection.description
+    left = run.mask[..., None] & np.isfinite(measured).all(axis=2, keepdims=True)
+    for small, of_small in pyramid(np.where(left, measured, np.nan), model, levels):
+        coarse: MeasurementKeywords = {
+            **found,
+            "size": (small.shape[1], small.shape[0]),
+            "pixels": None,
+        }
+        with measurement(loaded, **coarse) as run:
+            misfit = Misfit(run, small, of_small, None, Tone(tone))
+            pose, status, steps = least_squares(misfit, run.view.pose, _damping(estimator), iterations)
+            rms = misfit.rms(misfit.difference(pose))
+            count += steps
+        if status != "diverged":
+            found["pose"] = pose
+    return Approach(found, words, status, rms, count)
+
+
+def _damping(estimator: str) -> float:
+    return DAMPING if estimator == "levenberg_marquardt" else 0.0
+
+
+def _noise_of_residuals(misfit: Misfit, pose: Array) -> Gaussian:
+    """White noise that is as large as the residuals, of whose degrees of freedom the parameters take some."""
+    values = int(np.count_nonzero(misfit.weights))
+    taken = 6 + len(misfit.tone.parameters)
+    if values <= taken:
+        raise AlignmentError(f"{values} values do not tell {taken} parameters and the noise; give --sigma")
+    sigma = misfit.rms(misfit.difference(pose)) * np.sqrt(values / (values - taken))
+    return Gaussian(max(sigma, _LEAST_SIGMA * float(np.abs(misfit.measured).max())))
+
+
+def _result(
+    misfit: Misfit,
+    pose: Array,
+    status: Status,
+    iterations: int,
+    origin: str,
+    residuals: ResidualCovariance | None,
+) -> Alignment:
     """What is known at the end."""
     misfit.differentiate(pose)
     difference = misfit.difference(pose)
-    information = misfit.information(pose)
+    jacobian = misfit.image_jacobian(pose)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PrecisionWarning)
-        bound = cramer_rao_bound(information)
+        bound = joint_bound(joint_information(jacobian, misfit.noise).marginalize())
+        beside = None if residuals is None else misspecified_covariance(jacobian, misfit.noise, residuals)
+    matrix = bound.information.matrix
     return Alignment(
         pose=pose,
         status=status,
         residual=misfit.residual(difference),
         iterations=iterations,
         bound=bound,
-        excess=misfit.excess(difference, information.matrix),
-        added=misfit.added(difference, information.matrix),
+        excess=misfit.excess(difference, matrix),
+        added=misfit.added(difference, matrix),
         masked=misfit.masked,
         invalid=misfit.invalid,
+        tone=misfit.tone,
+        rms=misfit.rms(difference),
+        noise={**misfit.noise.to_dict(), "description": misfit.noise.description, "origin": origin},
+        image=misfit.image(pose),
+        misspecified=beside,
     )
 
 
@@ -203,10 +315,14 @@ def _size(image: NDArray[Any], scene: Any, options: MeasurementKeywords) -> tupl
     return width, height
 
 
-def _check_arguments(estimator: str, iterations: int, levels: int) -> None:
+def _check_arguments(estimator: str, iterations: int, levels: int, tone: str) -> None:
     if estimator not in ESTIMATORS:
         raise AlignmentError(f"unknown estimator {estimator!r}; estimators: {', '.join(ESTIMATORS)}")
     if iterations < 1:
         raise AlignmentError(f"iterations must be at least 1; got {iterations}")
     if levels < 0:
         raise AlignmentError(f"levels must not be negative; got {levels}")
+    if tone not in TONES:
+        raise AlignmentError(
+            f"unknown tone {tone!r}; what may be known of gain and black: {', '.join(TONES)}"
+        )

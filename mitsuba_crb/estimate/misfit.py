@@ -1,7 +1,9 @@
 """How badly an image fits a pose, with gradient and curvature, by renders that are noisy themselves.
 
 For a measured image y with noise precision W and the expected image R(x), E(x) = ½ (y − R(x))ᵀ W (y − R(x)).
-With J = ∂R/∂ξ in the camera frame, g = JᵀW (y − R(x)) and F = JᵀWJ.
+With J = ∂R/∂ξ in the camera frame, g = JᵀW (y − R(x)) and F = JᵀWJ. Where gain and black level of the image
+are not known (`measure.tone`), R stands for its values with those that fit best at x, J for theirs, and F for
+the Schur complement: E is then least over all of them (variable projection; Golub and Pereyra 1973).
 
 The renderer's own noise must not pass for the image's. (1) R̂(x) uses the same random numbers at every x, so
 that E is one smooth function and its minimum exists. (2) They are independent of Ĵ's, so that E[ĴᵀW(y − R̂)] =
@@ -25,12 +27,11 @@ from numpy.typing import NDArray
 
 from .. import se3
 from ..errors import AlignmentError, OutOfViewError
-from ..information.fisher import FisherInformation
-from ..information.image_information import fisher_information
 from ..information.image_jacobian import ImageJacobian
 from ..information.subset import selected
 from ..jacobian.method import Paths
 from ..measure.measurement import Measurement
+from ..measure.tone import Tone
 from ..noise import IndependentNoise
 from ..se3 import Array
 
@@ -59,7 +60,12 @@ class Misfit:
     """One image, one scene, and what was last measured of it."""
 
     def __init__(
-        self, run: Measurement, image: Array, noise: IndependentNoise, anchor: Anchor | None
+        self,
+        run: Measurement,
+        image: Array,
+        noise: IndependentNoise,
+        anchor: Anchor | None,
+        tone: Tone = Tone("known"),  # noqa: B008  # nobody changes it
     ) -> None:
         finite = np.asarray(np.isfinite(image).all(axis=2))
         self.masked = int((run.mask & ~finite).sum())
@@ -71,6 +77,12 @@ class Misfit:
         self.noise = noise
         self.pixels = selected(run.mask)
         self.measured = image[run.mask]
+        self.tone = tone
+        """Of the last difference."""
+        self.there = tone
+        """Where F and g are of."""
+        self.shown = np.zeros((run.options.batches, len(self.pixels), 3))
+        """(K, n, 3), R̂ there, before the tone."""
         self.seen = np.ones(len(self.pixels), dtype=bool)
         self.anchored = False
         self.correction: Array | float = 0.0
@@ -123,6 +135,15 @@ class Misfit:
                 self._use(self.known)
         elif self.motion(self.jacobian.pose, pose) > _REFRESH:
             self._use(self.run.at(pose).jacobian(pilot=self.noise.depends_on_mean))
+        if self.tone.parameters:
+            self.difference(pose)
+            self.there, self.shown = self.tone, self._finite(self.expected(pose))
+            self.assume(self.noise)
+
+    def assume(self, noise: IndependentNoise) -> None:
+        """Another noise from now on."""
+        self.noise = noise
+        self._use(self.jacobian)
 
     def _use(self, jacobian: ImageJacobian) -> None:
         self.jacobian = jacobian
@@ -132,20 +153,35 @@ class Misfit:
     def _rows(
         self, jacobian: ImageJacobian, pixels: NDArray[np.int64]
     ) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Ĵ (n, 3, 6) and W (n, 3) at some pixels, zero where it was not finite, and where it was (n,)."""
+        """Ĵ (n, 3, 6) and W (n, 3) at some pixels, zero where it was not finite, and where it was (n,).
+
+        Ĵ is that of the values, by the gain.
+        """
         row = np.full(self.run.mask.shape, -1)
         row[jacobian.pixels[:, 1], jacobian.pixels[:, 0]] = np.arange(len(jacobian.pixels))
         row = row[pixels[:, 1], pixels[:, 0]]
         finite = row >= 0
         values, weights = np.zeros((len(pixels), 3, 6)), np.zeros((len(pixels), 3))
-        values[finite] = jacobian.values[row[finite]]
-        weights[finite] = self.noise.weights(pixels[finite], jacobian.expected[row[finite]])
+        values[finite] = self.there.gain[:, None] * jacobian.values[row[finite]]
+        expected = self.there(jacobian.expected[row[finite]])
+        weights[finite] = self.noise.weights(pixels[finite], expected)
         return values, weights, finite
 
     def _weigh(self) -> None:
         """W, and ĴᵀWĴ, of the pixels that are finite in both Ĵ and R̂."""
         self.weights = np.where(self.seen[:, None], self.own_weights, 0.0)
         self.plain = np.einsum("ncp,nc,ncq->pq", self.values, self.weights, self.values, optimize=True)
+        if self.tone.parameters:
+            columns = self.there.columns(self.shown)
+            K, mean = len(columns), columns.mean(axis=0)
+            rooted = np.sqrt(self.weights)[..., None] * columns
+            whole, own = K**2 * _gram(rooted.mean(axis=0)), sum(_gram(batch) for batch in rooted)
+            coupling = np.einsum("ncp,nc,ncm->pm", self.values, self.weights, mean, optimize=True)
+            inverse = np.linalg.pinv((whole - own) / (K * (K - 1)), hermitian=True)
+            self.plain = self.plain - coupling @ inverse @ coupling.T
+            self.projected = self.values - mean @ (inverse @ coupling.T)
+        else:
+            self.projected = self.values
 
     def motion(self, a: Array, b: Array) -> float:
         """How far the image moves between two poses, about [pixel]."""
@@ -159,14 +195,21 @@ class Misfit:
 
     def difference(self, pose: Array) -> Array:
         """(K, n, 3), y − R̂; zero and without weight where R̂ is not finite."""
-        difference = np.asarray(self.measured - self.expected(pose), dtype=np.float64)
-        seen = np.asarray(np.isfinite(difference).all(axis=(0, 2)))
+        expected = self.expected(pose)
+        seen = np.asarray(np.isfinite(expected).all(axis=(0, 2)))
         self.run.check_valid(int((~seen).sum()), len(seen))
-        difference[:, ~seen] = 0.0
         if not np.array_equal(seen, self.seen):
             self.seen = seen
             self._weigh()
+        expected = self._finite(expected)
+        self.tone = self.tone.fitted(self.measured, expected, self.weights)
+        difference = np.asarray(self.measured - self.tone(expected), dtype=np.float64)
+        difference[:, ~seen] = 0.0
         return difference
+
+    def _finite(self, images: Array) -> Array:
+        """(K, n, 3) with zeros for what is not seen."""
+        return images if self.seen.all() else np.where(self.seen[:, None], images, 0.0)
 
     def error(self, difference: Array) -> float:
         """E, from products of different batches: the square of one batch's noise is no error of the pose."""
@@ -178,18 +221,27 @@ class Misfit:
         """Root mean square of the whitened difference, without the renderer's noise."""
         return float(np.sqrt(max(2.0 * self.error(difference), 0.0) / np.count_nonzero(self.weights)))
 
+    def rms(self, difference: Array) -> float:
+        """Root mean square of the difference of what has weight, without the renderer's noise [value]."""
+        K, seen = len(difference), self.weights > 0.0
+        sums = difference.sum(axis=0)[seen]
+        square = (np.sum(sums**2) - np.sum(difference[:, seen] ** 2)) / (K * (K - 1))
+        return float(np.sqrt(max(square, 0.0) / max(np.count_nonzero(seen), 1)))
+
     def slope(self, pose: Array, chosen: NDArray[np.int64], seed: int) -> Array:
         """(6,), JᵀW (y − R̂) of some of the pixels (n,), with a Jacobian of their own."""
+        difference = self.difference(pose).mean(axis=0)[chosen]
+        self.there = self.tone
         part = np.zeros_like(self.run.mask)
         part[self.pixels[chosen, 1], self.pixels[chosen, 0]] = True
         here = self.run.at(pose, seed=seed).only(part)
         values, weights, _ = self._rows(here.jacobian(pilot=self.noise.depends_on_mean), self.pixels[chosen])
-        difference = self.difference(pose).mean(axis=0)[chosen]
         return np.asarray(np.einsum("ncp,nc->p", values, weights * difference), dtype=np.float64)
 
     def added(self, difference: Array, information: Array) -> Array:
         """(6, 6), C = F⁻¹ [ĴᵀWĴ − F + Cov(ĴᵀW R̂)] F⁻¹."""
-        gradients = np.stack([self.gradient(batch) for batch in difference])
+        weighted = self.weights * difference
+        gradients = np.stack([np.einsum("ncp,nc->p", self.projected, batch) for batch in weighted])
         extra = self.plain - information + np.cov(gradients.T) / len(difference)
         inverse = np.linalg.pinv(information, hermitian=True)
         return np.asarray(inverse @ extra @ inverse)
@@ -203,14 +255,42 @@ class Misfit:
         """Pixels that are not finite in Ĵ or in R̂."""
         return int((~(self.measurable & self.seen)).sum())
 
-    def information(self, pose: Array) -> FisherInformation:
-        """About a pose, of the pixels that are finite in both Ĵ and R̂."""
+    def image_jacobian(self, pose: Array) -> ImageJacobian:
+        """About a pose, of the pixels that are finite in both Ĵ and R̂: of the values and what is fitted."""
         jacobian = self.jacobian
         if self.invalid:
             mask = np.zeros_like(self.run.mask)
             mask[self.run.mask] = self.measurable & self.seen
             jacobian = jacobian.only(mask, f"{jacobian.selection.description}, where the radiance is finite")
-        return fisher_information(jacobian.about(pose=pose), self.noise)
+        jacobian = jacobian.about(pose=pose)
+        if not self.tone.parameters:
+            return jacobian
+        x, y = jacobian.pixels.T
+        row = np.full(self.run.mask.shape, -1)
+        row[self.run.mask] = np.arange(len(self.pixels))
+        others = self.there.columns(self.shown[:, row[y, x]])
+        own = self.there.gain[:, None] * jacobian.batch_values
+        return dataclasses.replace(
+            jacobian,
+            batch_values=np.concatenate([own, others], axis=-1),
+            parameters=self.there.parameters,
+            image=self.there(jacobian.image),
+            pilot=None if jacobian.pilot is None else self.there(jacobian.pilot),
+            pilot_error=None if jacobian.pilot_error is None else self.there.gain * jacobian.pilot_error,
+        )
+
+    def image(self, pose: Array) -> Array:
+        """(H, W, 3), what the measured image should be at a pose; NaN where it is not compared."""
+        image = np.full((*self.run.mask.shape, 3), np.nan)
+        values = self.tone(self.expected(pose).mean(axis=0))
+        image[self.run.mask] = np.where((self.measurable & self.seen)[:, None], values, np.nan)
+        return image
+
+
+def _gram(columns: Array) -> Array:
+    """AᵀA of columns (n, 3, m)."""
+    rows = columns.reshape(-1, columns.shape[-1])
+    return np.asarray(rows.T @ rows)
 
 
 def _covers(jacobian: ImageJacobian, mask: NDArray[np.bool_]) -> bool:

@@ -14,20 +14,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..files import atomic, jsonable
-from ..se3 import TWIST_ORDER
+from ..se3 import TWIST_ORDER, vector_from_pose
 
 if TYPE_CHECKING:
     from ..agents.selection import TileSelection
     from ..agents.team import Team
     from ..bound.cramer_rao import PoseBound
     from ..bound.hcr import HCRBound
+    from ..bound.misspecified import MisspecifiedCovariance
+    from ..estimate.photograph import PhotographAlignment
     from ..estimate.trials import Validation
     from ..information.joint import JointInformation
+    from ..measure.held_out import HeldOut
     from ..measure.teams import TeamFusion, TeamSelection
 
 SCHEMA = "mitsuba-crb/bound/1"
 FUSE_SCHEMA = "mitsuba-crb/fuse/1"
 SELECT_SCHEMA = "mitsuba-crb/select/1"
+ALIGN_SCHEMA = "mitsuba-crb/align/1"
 
 
 _BREAK = re.compile(r",\n\s*")
@@ -51,8 +55,13 @@ _PROVENANCE_KEYS = (
 _OF_FIELDS = ("field", "deterministic")
 
 
-def bound_document(bound: PoseBound, hcr: HCRBound | None = None) -> dict[str, Any]:
-    """The bound, its provenance and the one beyond it as strict JSON: infinity is "inf", no number None."""
+def bound_document(
+    bound: PoseBound,
+    hcr: HCRBound | None = None,
+    misspecified: MisspecifiedCovariance | None = None,
+    held_out: HeldOut | None = None,
+) -> dict[str, Any]:
+    """The bound, its provenance and those beside it as strict JSON: infinity is "inf", no number None."""
     provenance = bound.provenance
     document = {
         "schema": SCHEMA,
@@ -85,6 +94,10 @@ def bound_document(bound: PoseBound, hcr: HCRBound | None = None) -> dict[str, A
             "squared_distances_standard_error": hcr.squared_distances_standard_error,
             "repeats": hcr.repeats,
         }
+    if misspecified is not None:
+        document["misspecified"] = _misspecified(misspecified)
+    if held_out is not None:
+        document["held_out"] = _held_out(held_out)
     plain: dict[str, Any] = jsonable(document)
     return plain
 
@@ -186,6 +199,69 @@ def validation_document(result: Validation) -> dict[str, Any]:
     }
     plain: dict[str, Any] = jsonable(document)
     return plain
+
+
+def alignment_document(result: PhotographAlignment) -> dict[str, Any]:
+    """Where a photograph was taken from, what that is worth, and the other starts, as strict JSON."""
+    found = result.alignment
+    document = {
+        "schema": ALIGN_SCHEMA,
+        **result.settings,
+        "verdict": result.verdict,
+        "status": found.status,
+        "iterations": found.iterations,
+        "pose": found.pose,
+        "position_and_quaternion": vector_from_pose(found.pose),
+        "residual_rms": found.rms,
+        "residual_unit": "display values, white is 1" if result.display else "linear values, white is 1",
+        "psnr_db": result.psnr_db,
+        "even_psnr_db": result.even_psnr_db,
+        "tone": {"fitted": found.tone.kind, "gain": found.tone.gain, "black": found.tone.black},
+        "noise": {**found.noise, "origin": result.settings["noise"]},
+        "pixels": {
+            **vars(found.bound.information.selection),
+            "masked": result.measured.masked,
+            "saturated": result.measured.saturated,
+            "invalid": found.invalid,
+        },
+        "ideal": _bound(found.bound),
+        "covariance_of_renderer": found.added,
+        "excess": found.excess,
+        "misspecified": None if found.misspecified is None else _misspecified(found.misspecified),
+        "held_out": None if result.held_out is None else _held_out(result.held_out),
+        "candidates": [
+            {**vars(candidate), "moved": candidate.moved[0], "turned_deg": candidate.moved[1]}
+            for candidate in result.candidates
+        ],
+    }
+    plain: dict[str, Any] = jsonable(document)
+    return plain
+
+
+def _misspecified(found: MisspecifiedCovariance) -> dict[str, Any]:
+    names = (
+        "covariance",
+        "position_std",
+        "position_std_standard_error",
+        "rotation_std_deg",
+        "rotation_std_deg_standard_error",
+        "residuals",
+        "gap",
+    )
+    return {
+        "frame": found.ideal.frame,
+        "ratios_to_ideal": found.ratios,
+        **{name: getattr(found, name) for name in names},
+    }
+
+
+def _held_out(found: HeldOut) -> dict[str, Any]:
+    return {
+        "names": found.names,
+        "residual_rms": found.rms,
+        "gain": [tone.gain for tone in found.tones],
+        "black": [tone.black for tone in found.tones],
+    }
 
 
 def _bound(bound: PoseBound) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Unpack
@@ -15,17 +16,21 @@ from numpy.typing import ArrayLike
 
 from ..bound.cramer_rao import PoseBound
 from ..bound.hcr import HCRBound
+from ..bound.misspecified import MisspecifiedCovariance, misspecified_covariance
 from ..bound.prior import load_prior
-from ..errors import OptionError
+from ..datasets.photographs import Capture
+from ..datasets.pictures import Encoding
+from ..errors import OptionError, PrecisionWarning
 from ..files import Record
 from ..noise import CoupledNoise, NoiseModel
 from ..render.scene import SceneFile
 from ..se3 import Frame
 from .displaced import hcr_bound
-from .opening import as_world, wanted
+from .held_out import HeldOut, held_out_residuals
+from .opening import as_world, open_measurable, wanted
 from .options import MeasurementKeywords, MeasurementOptions
 from .pictures import Gathering, Pictures
-from .pose import pose_bound
+from .pose import pose_bound, pose_jacobian
 from .sensing import COLOUR
 from .tile_jacobian import TileJacobian
 
@@ -40,6 +45,10 @@ class BoundReport(Record):
     """Over finite displacements, in the camera frame."""
     pictures: Pictures | None
     """Of the same measurement as the bound, in its frame."""
+    misspecified: MisspecifiedCovariance | None = None
+    """What least squares has with this map, by photographs that a capture holds out."""
+    held_out: HeldOut | None = None
+    """Those photographs, beside renders."""
 
     @property
     def attributes(self) -> dict[str, str | int]:
@@ -58,6 +67,8 @@ def bound_report(
     hcr: bool = False,
     displacements: ArrayLike | None = None,
     pictures: bool = False,
+    capture: Capture | None = None,
+    encoding: Encoding = "srgb",
     **options: Unpack[MeasurementKeywords],
 ) -> BoundReport:
     """The bound of a scene's file, and what is asked beside it.
@@ -72,10 +83,14 @@ def bound_report(
         hcr: whether to bound errors over finite displacements, too.
         displacements: those, as for `hcr_bound`; they ask for it themselves.
         pictures: whether to keep what each pixel tells.
+        capture: photographs in the scene's frame, of which those that it holds out tell the noise, if none is
+            given, and what correlated errors of the map make of the bound.
+        encoding: of the photographs.
         options: see `MeasurementOptions`.
 
     Raises:
-        OptionError: displacements with a prior or nuisances, or pictures of noise that couples pixels.
+        OptionError: displacements with a prior or nuisances, pictures of noise that couples pixels, or a
+            capture with a prior or with anything but colour.
         PriorError: an impossible prior.
         MitsubaCRBError: as `load_scene`, `pose_bound` and `hcr_bound`.
     """
@@ -90,6 +105,11 @@ def bound_report(
         raise OptionError(
             "--hcr (hcr=True) knows neither priors nor nuisances; leave out --prior and --marginalize"
         )
+    if capture is not None and (prior or options.get("measure", COLOUR) != COLOUR):
+        raise OptionError(
+            "--photographs (capture=) tells what an estimator of colour without a prior has; leave out "
+            "--prior and --measure"
+        )
     gathering = None
     if pictures:
         if isinstance(noise, CoupledNoise):
@@ -101,6 +121,12 @@ def bound_report(
     known = load_prior(prior) if prior else None
     named = dict(defines or {})
     source: Any = SceneFile(scene, named)
+    held_out, origin = None, "given"
+    if capture is not None:
+        held_out = _held_out(source, capture, encoding, options)
+        if noise is None:
+            noise = held_out.noise.model
+            origin = f"residuals of {len(held_out.names)} photographs held out"
     if hcr:  # which has no nuisances, so that one loaded scene serves both
         source, _ = as_world(source, wanted(MeasurementOptions(**options)))
     bound = pose_bound(
@@ -115,11 +141,55 @@ def bound_report(
     }
     if prior:
         facts["prior"] = str(prior)
+    beside = None
+    if held_out is not None and noise is not None:
+        facts["noise"] = {**facts["noise"], "origin": origin}
+        beside = _misspecified(source, noise, held_out, nuisances, options, frame)
     shown = None
     if gathering is not None:
         width, height = facts["size"]
         shown = gathering.pictures(bound.information, (width, height), frame=frame)
-    return BoundReport(dataclasses.replace(bound, provenance=facts), beyond, shown)
+    return BoundReport(dataclasses.replace(bound, provenance=facts), beyond, shown, beside, held_out)
+
+
+def _held_out(scene: Any, capture: Capture, encoding: Encoding, options: MeasurementKeywords) -> HeldOut:
+    """Residuals of photographs held out, of images as large as the one that is measured [radiance]."""
+    given = MeasurementOptions(**options)
+    loaded, _ = as_world(scene, wanted(given))
+    with open_measurable(loaded, given) as view:
+        longest, display = max(view.size), view.white is not None
+    return held_out_residuals(
+        loaded,
+        capture,
+        longest=longest,
+        tone="known" if display else "channels",
+        encoding=encoding,
+        display=display,
+        **options,
+    ).in_radiance()
+
+
+def _misspecified(
+    scene: Any,
+    noise: NoiseModel,
+    held_out: HeldOut,
+    nuisances: Sequence[str],
+    options: MeasurementKeywords,
+    frame: Frame,
+) -> MisspecifiedCovariance:
+    """By a Jacobian of its own, for it is needed as a whole."""
+    uniform: MeasurementKeywords = {
+        **options,
+        "precision": None,
+        "max_spp": None,
+        "on_tile": None,
+        "on_progress": None,
+        "on_round": None,
+    }
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PrecisionWarning)  # the bound has had its own
+        jacobian = pose_jacobian(scene, nuisances=nuisances, **uniform)
+        return misspecified_covariance(jacobian.to_frame(frame), noise, held_out.covariance())
 
 
 def _gathered(options: MeasurementKeywords, gathering: Gathering | None) -> MeasurementKeywords:

@@ -120,7 +120,7 @@ class ResidualCovariance(Record):
 
 
 def residual_covariance(
-    residual_images: Sequence[ArrayLike], *, reach: int | None = None
+    residual_images: Sequence[ArrayLike], *, reach: int | None = None, renderer: ArrayLike | None = None
 ) -> ResidualCovariance:
     """Estimate the covariance of residuals from images that the model was not fitted to.
 
@@ -129,6 +129,7 @@ def residual_covariance(
             out.
         reach: largest distance [pixel] along rows and columns; None: a quarter of the shortest side, at most
             64. Residuals that are alike over larger distances are underestimated.
+        renderer: (C, C), covariance of the expected images' own noise, white between pixels; it is taken off.
 
     Raises:
         NoiseError: no images, of different channels, smaller than the reach, nothing finite, or all zero.
@@ -148,8 +149,13 @@ def residual_covariance(
     products, counts = (np.sum(part, axis=0) for part in zip(*sums, strict=True))
     taper = np.minimum(1.0, 2.0 - 2.0 * np.abs(np.arange(-reach, reach + 1)) / (reach + 1))
     autocovariance = taper[:, None] * taper * products / np.maximum(counts, 1.0)
-    if not np.diagonal(autocovariance[:, :, reach, reach]).any():
-        raise NoiseError("the residuals are all zero, or nowhere finite: they tell no covariance")
+    if renderer is not None:
+        autocovariance[:, :, reach, reach] -= array(renderer, "renderer")
+    if not (np.diagonal(autocovariance[:, :, reach, reach]) > 0.0).all():
+        raise NoiseError(
+            "the residuals are all zero, nowhere finite, or no larger than the renderer's noise: they tell "
+            "no covariance"
+        )
     return ResidualCovariance(autocovariance, len(images))
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.text import Text
 
+from .misspecified_table import print_beside, print_kinds
 from .terminal import (
     new_table,
     number_by_verdict,
@@ -33,6 +34,10 @@ _ROTATION = ("pitch, about {} x", "yaw, about {} y", "roll, about {} z")
 def print_report(console: Console, report: BoundReport) -> None:
     """The bound, and the one over finite displacements if there is one."""
     print_bound(console, report.bound)
+    if report.misspecified is not None:
+        print_line(console, "Beside the bound, which is ideal, what the map's error makes of it:")
+        print_beside(console, report.misspecified.ideal, report.misspecified)
+        print_kinds(console, report.misspecified)
     if report.hcr is not None:
         print_hcr(console, report.hcr)
 

@@ -117,6 +117,9 @@ GOOD: dict[str, bytes] = {
     "prior.toml": b'position_std = 0.5\nframe = "camera"\n',
     "prior.json": b'{"frame": "camera", "position_std": 0.5}',
     "mask.png": written(Image.fromarray(np.indices((8, 8))[0].astype(np.uint8) * 36).save, format="png"),
+    "photo.png": written(
+        Image.fromarray(np.random.default_rng(0).integers(20, 200, (8, 8, 3), np.uint8)).save, format="png"
+    ),
     "team.toml": b'[[agents]]\nname = "a"\nscene = "scene.xml"\nnoise = "noise.toml"\n[tiles]\nsize = 8\n',
     "trials.json": json.dumps(
         {
@@ -152,6 +155,10 @@ READERS = [
     ("team.toml", "fuse team.toml --workers 1"),
     ("team.toml", "select team.toml --budget 1 --workers 1"),
     ("trials.json", "validate scene.xml --json trials.json"),
+    ("scene.xml", "align scene.xml photo.png"),
+    ("photo.png", "align scene.xml photo.png"),
+    ("pose.npy", "align scene.xml photo.png --poses pose.npy"),
+    ("mask.png", "align scene.xml photo.png --mask mask.png"),
 ]
 """A file, and a command that reads it."""
 
@@ -169,7 +176,12 @@ DAMAGES = (
     "unreadable",
     "forbidden",
 )
-ANOTHER = {"map.npy": "precision.npz", "precision.npz": "map.npy", "mask.png": "noise.toml"}
+ANOTHER = {
+    "map.npy": "precision.npz",
+    "precision.npz": "map.npy",
+    "mask.png": "noise.toml",
+    "photo.png": "noise.toml",
+}
 
 
 def damage(file: Path, how: str) -> None:
@@ -258,6 +270,8 @@ OUTPUTS = [
     "bound scene.xml --json {}",
     "bound scene.xml --exr {}",
     "bound scene.xml --plot {}",
+    "align scene.xml photo.png --json {}",
+    "align scene.xml photo.png --residual {}",
     "validate scene.xml --json {}",
     "validate scene.xml --plot {}",
     "fuse team.toml --workers 1 --json {}",
