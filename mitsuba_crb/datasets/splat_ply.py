@@ -2,7 +2,8 @@
 
 INRIA's: logarithms of scales, logits of opacities, quaternions w x y z, spherical harmonics channel by
 channel: `f_rest` holds all of red's coefficients beyond the constant, then green's, then blue's. Columns come
-in any order; those that are not needed, such as normals, are left.
+in any order; those that are not needed, such as normals, are left. Mip-Splatting's `filter_3D` blurs each splat
+in space by so much and keeps what it adds up to.
 
 SuperSplat's compressed layout: chunks of 256 splats with the bounds of what is in them, splats as four 32-bit
 numbers (11-10-11 bits for positions and scales, the three smaller of a quaternion's numbers in 10 bits each,
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 from ..errors import FieldError
 from .ply import Header, read_elements
-from .splat_set import DEGREES, Floats, Splats, checked, colours_of
+from .splat_set import DEGREES, Floats, Splats, checked, colours_of, quaternions_of
 
 _NEEDED = (
     *("x", "y", "z"),
@@ -93,6 +94,10 @@ def _plain(vertex: NDArray[Any], path: Path) -> Splats:
             coefficients[:, k + 1, channel] = vertex[f"f_rest_{channel * rest + k}"]
     scales = np.exp(table(*(f"scale_{k}" for k in range(3))))
     opacities = 1.0 / (1.0 + np.exp(-vertex["opacity"].astype(np.float64)))
+    if "filter_3D" in (vertex.dtype.names or ()):
+        blurred = np.hypot(scales, vertex["filter_3D"].astype(np.float64)[:, None])
+        opacities = opacities * np.prod(scales / blurred, axis=1)
+        scales = blurred
     return checked(
         str(path),
         table("x", "y", "z"),
@@ -132,7 +137,10 @@ def _compressed(elements: Mapping[str, NDArray[Any]], path: Path) -> Splats:
     return checked(
         str(path),
         within(_bits(vertex["packed_position"], (21, 11), (11, 10), (0, 11)), "x", "y", "z"),
-        _smallest_three(vertex["packed_rotation"].astype(np.uint32)),
+        quaternions_of(
+            (_bits(vertex["packed_rotation"], (20, 10), (10, 10), (0, 10)) - 0.5) * np.sqrt(2.0),
+            vertex["packed_rotation"].astype(np.int64) >> 30 & 3,
+        ),
         np.exp(
             within(
                 _bits(vertex["packed_scale"], (21, 11), (11, 10), (0, 11)), "scale_x", "scale_y", "scale_z"
@@ -149,19 +157,6 @@ def _bits(numbers: NDArray[Any], *fields: tuple[int, int]) -> Floats:
         (numbers.astype(np.uint32) >> place & (1 << bits) - 1) / ((1 << bits) - 1) for place, bits in fields
     ]
     return np.stack(values, axis=1)
-
-
-def _smallest_three(packed: NDArray[np.uint32]) -> Floats:
-    """Quaternions (n, 4), w x y z: two bits say which number is largest, the others follow."""
-    others = (_bits(packed, (20, 10), (10, 10), (0, 10)) - 0.5) * np.sqrt(2.0)
-    largest = np.sqrt(np.maximum(1.0 - np.sum(others**2, axis=1), 0.0))
-    which = (packed >> 30).astype(np.int64)
-    quaternions = np.empty((len(packed), 4))
-    rows = np.arange(len(packed))
-    place = np.arange(3) + (np.arange(3) >= which[:, None])
-    quaternions[rows, which] = largest
-    quaternions[rows[:, None], place] = others
-    return quaternions
 
 
 def _byte_harmonics(sh: NDArray[Any], count: int, path: Path) -> NDArray[np.float32]:

@@ -131,3 +131,14 @@ def checked(
 def colours_of(coefficients: ArrayLike) -> NDArray[np.float32]:
     """(n, 1, 3) coefficients of plain colours (n, 3) from 0 to 1."""
     return ((np.asarray(coefficients, dtype=np.float64) - 0.5) / SH_C0).astype(np.float32)[:, None]
+
+
+def quaternions_of(smaller: Floats, largest: NDArray[np.int64]) -> Floats:
+    """Unit quaternions (n, 4), w x y z, of three of their numbers (n, 3), and which (n,) the largest is."""
+    which = largest[:, None]
+    place = np.arange(3) + (np.arange(3) >= which)
+    quaternions = np.empty((len(smaller), 4))
+    np.put_along_axis(quaternions, place, smaller, axis=1)
+    rest = np.maximum(1.0 - np.sum(smaller**2, axis=1, keepdims=True), 0.0)
+    np.put_along_axis(quaternions, which, np.sqrt(rest), axis=1)
+    return quaternions

@@ -1,12 +1,12 @@
 """Files of 3D Gaussian splats, told apart by what is in them.
 
-Read are PLY as `splat_ply` says, and antimatter15's `.splat`: 32 bytes each, position and scales as floats,
-colour, opacity and quaternion (w x y z, (b − 128) / 128) as bytes. Of others the error says how to make PLY.
+Read are PLY as in `splat_ply`, SOG as in `splat_sog`, and antimatter15's `.splat`: 32 bytes each, position and
+scales as floats, colour, opacity and quaternion (w x y z, (b − 128) / 128) as bytes. Of others the error says
+how to make PLY.
 """
 
 from __future__ import annotations
 
-import zipfile
 import zlib
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from ..files.reading import read_bytes
 from .ply import HEADER, is_ply, read_header
 from .splat_ply import is_splat_header, read_ply
 from .splat_set import Splats, checked, colours_of
+from .splat_sog import is_sog, read_sog
 
 __all__ = ["Splats", "checked", "is_splats", "load_splats"]
 
@@ -44,7 +45,7 @@ def is_splats(path: str | Path) -> bool:
     if is_ply(data):
         header = read_header(data)
         return header is not None and is_splat_header(header)
-    return bool(_other_kind(path, data)) or _are_records(data, size)
+    return is_sog(path, data) or _is_spz(data) or _are_records(data, size)
 
 
 def load_splats(path: str | Path) -> Splats:
@@ -60,7 +61,7 @@ def load_splats(path: str | Path) -> Splats:
     if path.is_dir():
         raise FieldError(f"{path} is a folder; name the file of splats in it")
     data = read_bytes(path, FieldError)
-    with np.errstate(invalid="ignore", over="ignore"):  # what is no number is counted
+    with np.errstate(all="ignore"):  # what is no number is counted
         return _read(path, data)
 
 
@@ -75,16 +76,17 @@ def _read(path: Path, data: bytes) -> Splats:
                 "opacity, scale_0, rot_0 and so on; a mesh is loaded as a scene"
             )
         return read_ply(data, header, path)
-    kind = _other_kind(path, data)
-    if kind:
-        raise FieldError(f"{path} is {kind}, which is not read; {_CURE.format(path=path, stem=path.stem)}")
+    if is_sog(path, data):
+        return read_sog(path)
+    if _is_spz(data):
+        raise FieldError(f"{path} is SPZ, which is not read; {_CURE.format(path=path, stem=path.stem)}")
     if not _are_records(data, len(data)):
         cut = (
             f"; it is cut off, if it is .splat: {len(data)} bytes are no multiple of 32"
             if len(data) % 32
             else ""
         )
-        raise FieldError(f"{path} is no file of splats (PLY or .splat){cut}")
+        raise FieldError(f"{path} is no file of splats (PLY, SOG or .splat){cut}")
     records = np.frombuffer(data, _RECORD)
     return checked(
         str(path),
@@ -96,23 +98,14 @@ def _read(path: Path, data: bytes) -> Splats:
     )
 
 
-def _other_kind(path: Path, data: bytes) -> str:
-    """What else of splats a file is, by its first bytes; empty if nothing is known."""
-    if data[:4] == b"NGSP":
-        return "SPZ"
-    if data[:2] == b"\x1f\x8b":
-        try:
-            return "SPZ" if zlib.decompressobj(31).decompress(data[:4096], 4) == b"NGSP" else ""
-        except zlib.error:
-            return ""
-    if data[:4] == b"PK\x03\x04":
-        try:
-            with zipfile.ZipFile(path) as archive:
-                return "SOG" if {"meta.json", "means_l.webp"} <= set(archive.namelist()) else ""
-        except (OSError, zipfile.BadZipFile):
-            return ""
-    parts = (b'"means"', b'"scales"', b'"quats"', b'"sh0"')
-    return "SOG" if data[:1] == b"{" and all(part in data for part in parts) else ""
+def _is_spz(data: bytes) -> bool:
+    """Niantic's, by its first bytes, packed by gzip or not."""
+    if data[:2] != b"\x1f\x8b":
+        return data[:4] == b"NGSP"
+    try:
+        return zlib.decompressobj(31).decompress(data[:4096], 4) == b"NGSP"
+    except zlib.error:
+        return False
 
 
 def _are_records(data: bytes, size: int) -> bool:

@@ -62,6 +62,15 @@ def test_a_splat_file_is_the_same_scene_to_its_bytes(tmp_path: Path) -> None:
     assert turned.min() > 1.0 - 2e-4
 
 
+def test_the_blur_in_space_of_mip_splatting_is_applied(tmp_path: Path) -> None:
+    columns = some_columns()
+    plain = loaded(tmp_path, ply(columns))
+    blurred = loaded(tmp_path, ply(columns | {"filter_3D": np.full(30, 0.05)}))
+    np.testing.assert_allclose(blurred.scales**2, plain.scales**2 + 0.05**2, rtol=1e-5)
+    mass = [splats.opacities * np.prod(splats.scales, axis=1) for splats in (plain, blurred)]
+    np.testing.assert_allclose(mass[1], mass[0], rtol=1e-5)
+
+
 def test_covariances_are_those_of_rotated_axes() -> None:
     half = np.sqrt(0.5)
     splats = Splats(
@@ -135,7 +144,17 @@ REFUSED = {
     "zeros": (lambda _: bytes(320), "no file of splats", False),
     "nothing": (lambda _: b"", "no file of splats", False),
     "SPZ": (lambda _: gzip.compress(b"NGSP" + bytes(60)), r"is SPZ.* npx @playcanvas/splat-transform", True),
-    "SOG": (zipped, r"is SOG.* npx @playcanvas/splat-transform", True),
+    "SOG of another version": (
+        lambda _: b'{"means": 1, "scales": 1, "quats": 1, "sh0": 1}',
+        "SOG of version None",
+        True,
+    ),
+    "damaged SOG": (
+        lambda _: b'{"version": 2, "means": 1, "scales": 1, "quats": 1, "sh0": 1}',
+        "damaged SOG",
+        True,
+    ),
+    "an empty SOG": (zipped, "meta.json that is no JSON", True),
 }
 
 
@@ -179,6 +198,7 @@ def test_any_damage_is_refused_in_one_line_or_read(write, tmp_path: Path) -> Non
     ("one", "other", "turned"),
     [
         ("guitar_90854/guitar.compressed.ply", "guitar_90854/guitar_inria.ply", 1e-6),
+        ("playbot_lod/sog_original_lod4/meta.json", "playbot_lod/playbot_lod4_8406.ply", 1e-6),
         # The converter takes 127.5 for the byte of 0, the format's author 128.
         ("indoor_hall_9080/model_22764.splat", "indoor_hall_9080/model_22764_inria.ply", 1e-2),
     ],
