@@ -126,8 +126,8 @@ def cuts() -> None:
     table = Table(
         "view", "PSNR [dB]", "F cut / F uncut", "analytic / differences: uncut", "cut", "re-sorting adds"
     )
-    rows, columns = np.indices((48, 48))
-    pixels = np.stack([columns, rows], axis=-1).reshape(-1, 2) + 40
+    rows, columns = np.indices((32, 32))
+    pixels = np.stack([columns, rows], axis=-1).reshape(-1, 2) + 48
     camera = real_camera(128)
     for name in REAL:
         splats = real_splats(name, DATA)

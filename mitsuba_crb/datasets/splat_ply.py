@@ -2,7 +2,7 @@
 
 INRIA's: logarithms of scales, logits of opacities, quaternions w x y z, spherical harmonics channel by
 channel: `f_rest` holds all of red's coefficients beyond the constant, then green's, then blue's. Columns come
-in any order; those that are not needed, such as normals, are left. Mip-Splatting's `filter_3D` blurs each splat
+in any order; those that are not needed, such as normals, are left. Mip-Splatting's `filter_3D` blurs a splat
 in space by so much and keeps what it adds up to.
 
 SuperSplat's compressed layout: chunks of 256 splats with the bounds of what is in them, splats as four 32-bit

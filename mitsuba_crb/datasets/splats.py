@@ -1,8 +1,8 @@
 """Files of 3D Gaussian splats, told apart by what is in them.
 
-Read are PLY as in `splat_ply`, SOG as in `splat_sog`, and antimatter15's `.splat`: 32 bytes each, position and
-scales as floats, colour, opacity and quaternion (w x y z, (b − 128) / 128) as bytes. Of others the error says
-how to make PLY.
+Read are PLY as in `splat_ply`, SOG as in `splat_sog`, and antimatter15's `.splat`: 32 bytes each, position
+and scales as floats, colour, opacity and quaternion (w x y z, (b − 128) / 128) as bytes. Of others the error
+says how to make PLY.
 """
 
 from __future__ import annotations

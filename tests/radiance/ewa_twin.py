@@ -13,7 +13,6 @@ import numpy as np
 
 from mitsuba_crb.camera import Camera
 from mitsuba_crb.datasets.splats import Splats
-from mitsuba_crb.se3 import skew
 
 STEP = 1e-30
 DILATION = {"classic": 0.3, "antialiased": 0.3, "mip": 0.1}
@@ -66,11 +65,12 @@ def picture(
     z = (splats.means - order_pose[:3, 3]) @ order_pose[:3, 2]
     order = np.argsort(z, kind="stable")
     order = order[z[order] > near]
-    twists = STEP * np.eye(6) if columns else np.zeros((1, 6))
+    twists = 1j * STEP * np.eye(6) if columns else np.zeros((1, 6))
     film = pixels + 0.5
     k = len(twists)
-    transmittance = np.ones((k, len(film)), dtype=complex)
-    colour, depth = np.zeros((k, len(film), 3), dtype=complex), np.zeros((k, len(film)), dtype=complex)
+    kind = complex if columns else float
+    transmittance, depth = np.ones((k, len(film)), dtype=kind), np.zeros((k, len(film)), dtype=kind)
+    colour = np.zeros((k, len(film), 3), dtype=kind)
     drawn = project(splats, order, camera, pose, twists, DILATION[variant], variant != "classic")
     # What covers less than 1e-13 of every pixel would only cost time.
     beyond = np.maximum(film.min(axis=0) - drawn[0][:, 0].real, drawn[0][:, 0].real - film.max(axis=0))
@@ -103,8 +103,8 @@ def project(splats, which, camera, pose, twists, dilation, compensated):
     R, c = pose[:3, :3], pose[:3, 3]
     rho, phi = twists[:, :3], twists[:, 3:]
     seen = (splats.means[which] - c) @ R
-    p = seen[:, None] - 1j * (rho + np.cross(phi, seen[:, None]))
-    W = R.T - 1j * np.array([skew(one) for one in phi]) @ R.T
+    p = seen[:, None] - rho - np.cross(phi, seen[:, None])
+    W = R.T - np.cross(phi[:, None], R).swapaxes(1, 2)
     x, y, z = np.moveaxis(p, -1, 0)
     kx, ky = 1.0 / camera.scale
     mean = np.stack([x / z * kx, y / z * ky], axis=-1) + camera.centre
@@ -113,7 +113,7 @@ def project(splats, which, camera, pose, twists, dilation, compensated):
     reach = 0.15 * (ends[1] - ends[0])
     low, high = ends[0] - reach, ends[1] + reach
     u, v = (held(t, low[j], high[j]) for j, t in enumerate((x / z, y / z)))
-    J = np.zeros((*z.shape, 2, 3), dtype=complex)
+    J = np.zeros((*z.shape, 2, 3), dtype=z.dtype)
     J[..., 0, 0], J[..., 0, 2] = kx / z, -kx * u / z
     J[..., 1, 1], J[..., 1, 2] = ky / z, -ky * v / z
     A = J @ W
@@ -128,7 +128,7 @@ def project(splats, which, camera, pose, twists, dilation, compensated):
     conic[..., 0, 0], conic[..., 1, 1] = covariance[..., 1, 1], covariance[..., 0, 0]
     conic[..., 0, 1] = conic[..., 1, 0] = -covariance[..., 0, 1]
     conic /= determinant(covariance)[..., None, None]
-    away = (splats.means[which] - c)[:, None] - 1j * rho @ R.T
+    away = (splats.means[which] - c)[:, None] - rho @ R.T
     direction = away / np.sqrt(np.sum(away**2, axis=-1))[..., None]
     basis = harmonics(direction, splats.degree)
     light = np.einsum("nkh,nhc->nkc", basis, splats.coefficients[which].astype(float)) + 0.5
