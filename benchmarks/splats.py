@@ -4,6 +4,7 @@
     python benchmarks/splats.py --only cost      # image and columns beside the image alone
     python benchmarks/splats.py --only million   # one million splats; time against their number and pixels
     python benchmarks/splats.py --only cuts      # the uncut picture beside the cut one, and F of both
+    python benchmarks/splats.py --only rotation  # rotation columns beside the filter term
 
 Needs ../shared/data/gaussians. Times are medians of warm calls that take turns, each from a pose of its own:
 projection, sorting and blending, to NumPy arrays. `cuts` uses the slow twin of tests/radiance with INRIA's
@@ -29,7 +30,15 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests" / "radiance"))
 
 from ewa_twin import INRIA, Cuts, picture  # noqa: E402  the twin lives with the tests
-from splat_views import REAL, pixels_of, real_camera, real_splats, real_views  # noqa: E402
+from splat_views import (  # noqa: E402
+    REAL,
+    pixels_of,
+    real_camera,
+    real_splats,
+    real_views,
+    sized_splats,
+    turned_by_flow,
+)
 
 from mitsuba_crb import se3  # noqa: E402
 from mitsuba_crb.camera import Camera  # noqa: E402
@@ -176,12 +185,32 @@ def cuts() -> None:
     console.print(table)
 
 
+def rotation() -> None:
+    """Rotation columns beside the filter term of the same picture, which holds for what turns rigidly."""
+    table = Table(
+        "std on the film [pixel]", "F / filter term's", "worst column's difference", title="rotation"
+    )
+    camera, pose = Camera.pinhole(240.0, (128.0, 128.0), (256, 256)), np.eye(4)
+    pixels = pixels_of(camera)
+    for std in (1.0, 2.0, 5.0, 13.0, 38.0):
+        field = Gaussians(sized_splats(camera, pose, std))
+        columns = field.columns(camera, pose, pixels)[1][..., 3:]
+        expected = turned_by_flow(field, camera, pose, pixels)
+        size = np.linalg.norm(expected, axis=(0, 1))
+        table.add_row(
+            f"{std:.0f}",
+            between((np.linalg.norm(columns, axis=(0, 1)) / size) ** 2),
+            f"{100 * (np.linalg.norm(columns - expected, axis=(0, 1)) / size).max():.2f} %",
+        )
+    console.print(table)
+
+
 def between(values: np.ndarray) -> str:
     """The least and the largest of six."""
     return f"{values.min():.3f} to {values.max():.3f}"
 
 
-SECTIONS = {"cost": cost, "million": million, "cuts": cuts}
+SECTIONS = {"cost": cost, "million": million, "cuts": cuts, "rotation": rotation}
 
 
 def main() -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from mitsuba_crb.camera import Camera
 from mitsuba_crb.datasets.splats import Splats, load_splats
+from mitsuba_crb.radiance.gaussians import Gaussians
 
 VARIANTS = ("classic", "antialiased", "mip")
 SMALL = Camera.pinhole((26.0, 24.0), (11.0, 10.5), (24, 20))
@@ -44,6 +46,28 @@ def odd_splats(degree: int = 1) -> Splats:
     coefficients = few.coefficients.copy()
     coefficients[18:22, 0] = -3.0  # colours held at 0
     return Splats(means, few.rotations, scales, opacities, coefficients)
+
+
+def sized_splats(camera: Camera, pose: np.ndarray, std: float, count: int = 150) -> Splats:
+    """Those whose largest standard deviation on the film is `std`, about [pixel]."""
+    splats = random_splats(count, degree=2, seed=2)
+    depth = np.maximum((splats.means - pose[:3, 3]) @ pose[:3, 2], 0.1)
+    size = std * depth / camera.focal_length / splats.scales.max(axis=1)
+    return replace(splats, scales=splats.scales * size[:, None])
+
+
+def turned_by_flow(field: Gaussians, camera: Camera, pose: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) −∇I·f, f the film flow of a rotation: its columns by the picture's own slopes on the film."""
+    slopes = []
+    for axis in range(2):
+        shift = 0.05 * np.eye(2)[axis]
+        ends = (
+            field.show(Camera.pinhole(camera.focal, camera.centre - sign * shift, camera.size), pose, pixels)
+            for sign in (1, -1)
+        )
+        slopes.append(np.subtract(*(end.values for end in ends)) / 0.1)
+    flow = camera.flow(camera.directions(pixels + 0.5))[:, :, 3:]
+    return -np.einsum("dnc,ndk->nck", slopes, flow)
 
 
 def wall_of_splats(count: int = 250) -> Splats:

@@ -18,6 +18,8 @@ from splat_views import (
     real_camera,
     real_splats,
     real_views,
+    sized_splats,
+    turned_by_flow,
     wall_of_splats,
 )
 
@@ -25,6 +27,7 @@ from mitsuba_crb import se3
 from mitsuba_crb.camera import Camera, Intrinsics
 from mitsuba_crb.datasets.splats import Splats
 from mitsuba_crb.errors import FieldError
+from mitsuba_crb.radiance import splat_tiles
 from mitsuba_crb.radiance.field import Shown
 from mitsuba_crb.radiance.gaussians import Gaussians, load_gaussians
 
@@ -133,32 +136,9 @@ def test_one_round_splat_before_the_camera_is_a_gaussian_on_the_film() -> None:
     np.testing.assert_allclose(columns[:, 1, 5], 0.0, atol=1e-5 * scale)  # it is round
 
 
-def turned_by_flow(field: Gaussians, camera: Camera, pose: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) −∇I·f, f the film flow of a rotation: what the picture's own slopes say."""
-    slopes = []
-    for axis in range(2):
-        shift = 0.05 * np.eye(2)[axis]
-        ends = (
-            field.show(Camera.pinhole(camera.focal, camera.centre - sign * shift, camera.size), pose, pixels)
-            for sign in (1, -1)
-        )
-        slopes.append(np.subtract(*(end.values for end in ends)) / 0.1)
-    flow = camera.flow(camera.directions(pixels + 0.5))[:, :, 3:]
-    return -np.einsum("dnc,ndk->nck", slopes, flow)
-
-
-def largest_std(splats: Splats, camera: Camera, pose: np.ndarray) -> np.ndarray:
-    """(n,) of each splat on the film, about [pixel]."""
-    depth = (splats.means - pose[:3, 3]) @ pose[:3, 2]
-    return camera.focal_length * splats.scales.max(axis=1) / np.maximum(depth, 1e-6)
-
-
 def test_rotation_columns_of_small_splats_are_the_filter_term() -> None:
-    splats = random_splats(150, degree=2, seed=2)
     camera = Camera.pinhole(60.0, (32.0, 32.0), (64, 64))
-    depth = (splats.means - POSE[:3, 3]) @ POSE[:3, 2]
-    most = 5.0 * np.maximum(depth, 0.1)[:, None] / camera.focal_length
-    field = Gaussians(replace(splats, scales=np.minimum(splats.scales, most)), background=BACKGROUND)
+    field = Gaussians(sized_splats(camera, POSE, 5.0), background=BACKGROUND)
     pixels = pixels_of(camera)
     columns = field.columns(camera, POSE, pixels)[1][..., 3:]
     expected = turned_by_flow(field, camera, POSE, pixels)
@@ -283,6 +263,19 @@ def test_lenses_that_no_rasteriser_draws_are_refused_by_name() -> None:
         field.show(replace(SMALL, radius=0.1, focus=2.0), POSE, ALL)
     with pytest.raises(FieldError, match="order of summation"):
         field.show(SMALL, POSE, ALL, order=2)
+
+
+def test_splats_beyond_memory_are_refused_with_a_cure(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(splat_tiles, "_MOST", 20)
+    with pytest.raises(FieldError, match=r"more than 2e\+01 splats together.*smaller image \(--size\)"):
+        Gaussians(random_splats()).show(SMALL, POSE, ALL)
+
+
+def test_parts_that_are_tried_together_do_not_change_the_list(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = Gaussians(random_splats()).show(SMALL, POSE, ALL)
+    monkeypatch.setattr(splat_tiles, "_CHUNK", 7)
+    parts = Gaussians(random_splats()).show(SMALL, POSE, ALL)
+    np.testing.assert_array_equal(parts.values, whole.values)
 
 
 def test_what_the_image_depends_on_is_told() -> None:
