@@ -11,6 +11,7 @@ behind: C ← C + α (c − C), dC ← (1 − α) dC + dα (c − C) + α dc. Th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -78,11 +79,11 @@ def _laid(drawing: Drawing, place: mi.UInt32, film: mi.Vector2f) -> _Laid:
     )
 
 
-def _motion(drawing: Drawing, one: _Laid) -> tuple[list[Any], list[Any]]:
+def _motion(drawing: Drawing, lens: Sequence[mi.Vector2f], one: _Laid) -> tuple[list[Any], list[Any]]:
     """dα/dξ, and by twist component dc/dξ; none of those where no colour depends on direction."""
     import mitsuba as mi
 
-    k, low, high = (drawing.lens.pair(j) for j in range(3))
+    k, low, high = lens
     direction = one.m / k
     held = dr.clip(direction, low, high)
     spread = one.d - DILATION[drawing.variant] * one.w
@@ -117,6 +118,7 @@ def blended(
     """
     import mitsuba as mi
 
+    lens = [drawing.lens.pair(j) for j in range(3)]  # read before the loop, not in every round
     nearest_first = order == 0
     step = _under if nearest_first else _over
     state = [
@@ -129,11 +131,11 @@ def blended(
     i, number = mi.UInt32(0), last - first
     while dr.hint(
         (i < number) & (state[2] > (_OPAQUE if nearest_first else -1.0)),
-        exclude=[drawing, first, last, number, film, order, columns, nearest_first, step],
+        exclude=[drawing, lens, first, last, number, film, order, columns, nearest_first, step],
         label="splats",
     ):
         one = _laid(drawing, first + i if nearest_first else last - 1 - i, film)
-        change, light = _motion(drawing, one) if columns else ([], [])
+        change, light = _motion(drawing, lens, one) if columns else ([], [])
         state = step(state, one, change, light)
         i += 1
     colour, depth, clear, slopes, covered = state
