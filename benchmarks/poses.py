@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from mitsuba_crb import SceneFile, pose_bound, pose_table
-from mitsuba_crb.measure.mitsuba_view import wanted
+from mitsuba_crb.measure.opening import wanted
 from mitsuba_crb.measure.options import MeasurementOptions
 from mitsuba_crb.render.scene import as_scene
 

@@ -88,6 +88,8 @@ def check(
         from ..show.check_table import print_check
 
         with measuring() as (_, warned):
-            result = check_jacobian(SceneFile(scene, defines), methods=method, **options)
+            result = check_jacobian(
+                SceneFile(scene, defines), methods=tuple(method) if method else None, **options
+            )
         print_check(console(), result, warned)
         return result.exit_code

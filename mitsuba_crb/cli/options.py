@@ -179,7 +179,12 @@ DropInvalid = Annotated[
 ]
 Define = Annotated[
     list[str] | None,
-    typer.Option("-D", metavar="name=value", help="Set one of the scene's <default>s; repeatable."),
+    typer.Option(
+        "-D",
+        metavar="name=value",
+        help="Set one of the scene's <default>s; of splats variant (classic, antialiased or mip, as trained) "
+        "or background (a grey, or R,G,B); repeatable.",
+    ),
 ]
 Config = Annotated[
     Path, typer.Argument(metavar="CONFIG.toml", help="Who looks where: see scenes/warehouse/warehouse.toml.")

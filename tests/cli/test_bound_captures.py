@@ -18,7 +18,7 @@ from mitsuba_crb.cli import app as cli
 from mitsuba_crb.datasets.pose_photographs import photographs_at_hand, photographs_in
 from mitsuba_crb.datasets.poses import load_poses
 from mitsuba_crb.jacobian.method import Paths
-from mitsuba_crb.measure.mitsuba_view import open_measurable
+from mitsuba_crb.measure.opening import open_measurable
 from mitsuba_crb.measure.options import MeasurementOptions
 from mitsuba_crb.noise import SRGB
 

@@ -15,6 +15,7 @@ from soft_blobs import INTRINSICS, POSE
 
 from mitsuba_crb import (
     Intrinsics,
+    PosePrior,
     check_jacobian,
     fisher_information,
     hcr_bound,
@@ -24,6 +25,7 @@ from mitsuba_crb import (
     pose_table,
     se3,
     tile_information,
+    van_trees,
 )
 from mitsuba_crb.camera import Camera
 from mitsuba_crb.errors import FieldError, NuisanceError, OptionError, PrecisionWarning, SensorError
@@ -310,3 +312,15 @@ def test_streaming_equals_assembling() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error", PrecisionWarning)
         pose_bound(field, SIGMA, pixels="random:0.9")
+
+
+def test_whatever_scenes_are_asked_fields_are_asked() -> None:
+    field = soft_blobs.many()
+    colour, grey = pose_bound(field, SIGMA), pose_bound(field, SIGMA, channels="luminance")
+    assert np.all(np.diag(grey.information.matrix) < np.diag(colour.information.matrix))
+    rich = pose_bound(field, SIGMA, pixels="gradient:0.25").information.matrix
+    assert np.all(np.diag(rich) > 0.5 * np.diag(colour.information.matrix))
+    assert np.all(np.diag(rich) < np.diag(colour.information.matrix))
+    prior = PosePrior(1e6 * np.eye(6), "camera")
+    mean = van_trees(field, SIGMA, prior, draws=4)
+    assert np.all(mean.position_std < colour.position_std * 1.2)
