@@ -25,7 +25,7 @@ from ..errors import AlignmentError, OutOfViewError
 from ..files import Record
 from ..measure.held_out import HeldOut, held_out_residuals
 from ..measure.likeness import LEAST_GAIN_DB, POOR_DB
-from ..measure.opening import as_world, open_measurable, wanted
+from ..measure.opening import as_world, kind_of, open_measurable, wanted
 from ..measure.options import MeasurementKeywords, MeasurementOptions
 from ..measure.stations import Station, named
 from ..measure.tone import ToneKind
@@ -220,7 +220,7 @@ def align_photograph(
             **common,
             "sensor": result.bound.information.variable,
             "seed": MeasurementOptions(**options).seed,
-            "spp": spp,
+            "spp": 0 if kind_of(loaded).deterministic else spp,
         },
     )
 

@@ -14,7 +14,7 @@ from ..bound.cramer_rao import ALL_NUISANCES
 from ..se3 import vector_from_pose
 from .bound_table import pixels_measured, unobserved_facts
 from .misspecified_table import print_beside, print_kinds
-from .terminal import new_table, print_facts, print_line, print_notes
+from .terminal import new_table, paths_said, print_facts, print_line, print_notes
 
 if TYPE_CHECKING:
     from ..estimate.photograph import PhotographAlignment
@@ -90,8 +90,8 @@ def _facts(result: PhotographAlignment) -> list[tuple[str, str]]:
     rows.append(
         (
             "estimator",
-            f"{settings['estimator']}, {settings['levels']} reduced images, {settings['spp']} paths per "
-            f"pixel; the renderer's noise adds {found.excess:.1%} to the covariance",
+            f"{settings['estimator']}, {settings['levels']} reduced images, {paths_said(settings['spp'])}; "
+            f"the renderer's noise adds {found.excess:.1%} to the covariance",
         )
     )
     return rows

@@ -40,6 +40,11 @@ def print_facts(console: Console, rows: list[tuple[str, str]]) -> None:
         print_line(console, Text(f"{name:<{width}}  ", style="dim"), value)
 
 
+def paths_said(spp: float) -> str:
+    """How many paths an estimator's renders have; none where nothing is random."""
+    return f"{spp} paths per pixel" if spp else "deterministic renders"
+
+
 def print_notes(console: Console, warnings: Iterable[str]) -> None:
     """What was warned of, a line each."""
     for warning in warnings:

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.text import Text
 
 from .bound_table import pixels_measured
-from .terminal import new_table, print_facts, print_line, print_notes
+from .terminal import new_table, paths_said, print_facts, print_line, print_notes
 
 if TYPE_CHECKING:
     from ..estimate.trials import Validation
@@ -55,7 +55,7 @@ def print_validation(console: Console, result: Validation, warnings: Iterable[st
             ("noise", f"Gaussian, σ = {settings['sigma']:.4g}, of a camera that never saturates"),
             ("pixels", pixels_measured(settings["pixels"])),
             ("starts", f"within {settings['perturb_deg']:g} deg, {settings['perturb_trans']:g} scene units"),
-            ("estimator", f"{settings['estimator']}, {_paths(settings['spp'])}"),
+            ("estimator", f"{settings['estimator']}, {paths_said(settings['spp'])}"),
             ("efficiency", f"{result.efficiency:.1%}"),
             (
                 "renderer's noise",
@@ -77,10 +77,6 @@ def verdict_line(result: Validation) -> str:
         "inconclusive": "inconclusive: the renderer's noise hides whether the errors are as the bound says; "
         + result.cure,
     }[result.verdict]
-
-
-def _paths(spp: int) -> str:
-    return f"{spp} paths per pixel" if spp else "deterministic renders"
 
 
 def _in_band(

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import soft_blobs
+from small_splats import write_splats
 from soft_blobs import INTRINSICS, POSE
 
 from mitsuba_crb import (
@@ -289,6 +290,20 @@ def test_trials_attain_the_bound_and_not_that_of_half_the_noise() -> None:
     assert not result.failed
     assert result.verdict == "consistent"
     half = validate(soft_blobs.many(), trials=16, assumed_sigma=0.005, confidence=0.999, **options)
+    assert half.verdict == "inconsistent"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["blobs", "splats"])
+def test_many_trials_attain_the_bound_and_not_that_of_half_the_noise(kind: str, tmp_path: Path) -> None:
+    """200 trials, bands of 99.9 %."""
+    field = soft_blobs.many() if kind == "blobs" else write_splats(tmp_path)
+    options: dict[str, Any] = {"perturb_deg": 0.3, "perturb_trans": 0.01, "sigma": 0.01}
+    file = tmp_path / "trials.json"
+    result = validate(field, trials=200, confidence=0.999, resume=file, **options)
+    assert (result.verdict, result.failed) == ("consistent", ())
+    assert result.efficiency == pytest.approx(1.0, abs=0.15)
+    half = validate(field, trials=200, assumed_sigma=0.005, confidence=0.999, resume=file, **options)
     assert half.verdict == "inconsistent"
 
 
