@@ -22,6 +22,7 @@ from .doctor import doctor
 from .fuse import fuse
 from .outcome import complain
 from .select import select
+from .train import train
 from .validate import validate
 
 INTERNAL_ERROR = 70
@@ -32,7 +33,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="How precisely could any algorithm estimate this camera's pose from this image of this scene?",
 )
-for _command in (bound, align, check, fuse, select, validate, doctor):
+for _command in (bound, align, check, fuse, select, validate, train, doctor):
     app.command()(_command)
 
 

@@ -65,6 +65,13 @@ def harmonic(k: int, powers: Any) -> tuple[Any, list[Any]]:
     return value, gradient
 
 
+def harmonics(direction: Any, count: int) -> tuple[list[Any], list[list[Any]]]:
+    """Values and gradients [x, y, z] of the first ones."""
+    powers = powers_of(direction)
+    values, gradients = zip(*(harmonic(k, powers) for k in range(count)), strict=True)
+    return list(values), list(gradients)
+
+
 def powers_of(direction: Any) -> list[list[Any]]:
     """The powers 0 to 4 of x, y and z of a unit direction; arrays of any kind."""
     found = []

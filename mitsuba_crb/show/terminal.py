@@ -81,6 +81,10 @@ class Bar:
         """So much of so much is done."""
         self._bar.update(self._task, description=self._doing, completed=done, total=total)
 
+    def say(self, doing: str) -> None:
+        """What is being done, from the next advance on."""
+        self._doing = doing
+
     def after(self, found: Round) -> None:
         """What a round came to, while the next one is on its way."""
         known = f"± {100 * found.precision:.2g} %" if math.isfinite(found.precision) else "nothing"
