@@ -6,6 +6,9 @@
 First all rays are marched through the field as it is, and each place's T, w and running sum are kept; then
 those places are evaluated once more, and what they owe is carried back into the grid and the network.
 Every ray has a background of its own, drawn by chance: where a photograph is opaque, so must the field be.
+
+What the network owes is summed over one ray in `_SHARE` only: it has few parameters, many rays, and adding up
+its outer products takes longer than all the rest.
 """
 
 from __future__ import annotations
@@ -18,13 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..render.arrays import download, upload
-from .march import DARK, Matter, next_place, sample
+from .march import Matter, next_place, sample
 from .network import basis
 from .photograph_rays import Rays
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
+_SHARE = 8
+_DIM = 1e-3
+"""Transmittance at which a ray ends here: what is behind is background."""
 KEPT = 6
 """Numbers kept of each place: t, T behind it, w, and the colours so far."""
 
@@ -37,6 +43,10 @@ class Outcome:
     """Mean squared difference of a colour."""
     samples: int
     """Places that were evaluated."""
+    entries: Any
+    """∂L/∂ entries of the hash grid."""
+    weights: Any
+    """∂L/∂ weights of the network as packed, over `_SHARE`."""
 
 
 @dr.syntax  # type: ignore[untyped-decorator]
@@ -63,7 +73,7 @@ def _marched(
             through = behind
             count += 1
             k += 1
-            active = (through > DARK) & (count < room)
+            active = (through > _DIM) & (count < room)
     return total, through, count
 
 
@@ -74,7 +84,7 @@ def descend(
     backgrounds: NDArray[np.float32],
     room: int,
 ) -> Outcome:
-    """Leave dL/d(entries) and dL/d(packed weights) as gradients, where both are enabled.
+    """The gradient of a batch.
 
     Args:
         late: (n,) what places along each ray are multiplied by.
@@ -86,24 +96,47 @@ def descend(
     n = len(rays.origins)
     o, d, behind = (_vectors(values) for values in (rays.origins, rays.directions, backgrounds))
     kept = [dr.empty(mi.Float, n * room) for _ in range(KEPT)]
-    with dr.suspend_grad():
-        total, through, count = _marched(
-            matter, o, d, upload(mi.Float, late), kept, dr.opaque(mi.UInt32, room)
-        )
-        dr.eval(total, through, count, kept)
+    total, through, count = _marched(matter, o, d, upload(mi.Float, late), kept, dr.opaque(mi.UInt32, room))
+    dr.eval(total, through, count, kept)
     opacity = rays.opacity[:, None]
     wanted = opacity * rays.colours + (1.0 - opacity) * backgrounds
     clear = np.array(through)[:, None]
     off = download(total).T + clear * backgrounds - wanted
     g = _vectors((2.0 / (3 * n)) * off)
     counts = np.array(count)
-    samples = int(counts.sum())
-    outcome = Outcome(float((off**2).mean()), samples)
-    if samples == 0:
-        return outcome
     ray = np.repeat(np.arange(n), counts)
-    slot = np.arange(samples) - np.repeat(np.cumsum(counts) - counts, counts) + ray * room
-    ray, slot = upload(mi.UInt32, ray), upload(mi.UInt32, slot)
+    slot = np.arange(len(ray)) - np.repeat(np.cumsum(counts) - counts, counts) + ray * room
+    batch = (matter, kept, o, d, g, behind, total, through)
+    network = matter.network
+    few = int(np.searchsorted(ray, -(-n // _SHARE)))
+    parameters = network.encoding.data, network.packed
+    dr.enable_grad(parameters[0])
+    _carry_back(*batch, ray[few:], slot[few:])
+    dr.enable_grad(parameters[1])
+    _carry_back(*batch, ray[:few], slot[:few])
+    gradients = [dr.grad(parameter) for parameter in parameters]
+    dr.disable_grad(*parameters)
+    return Outcome(float((off**2).mean()), len(ray), *gradients)
+
+
+def _carry_back(
+    matter: Matter,
+    kept: list[Any],
+    o: mi.Vector3f,
+    d: mi.Vector3f,
+    g: mi.Vector3f,
+    behind: mi.Vector3f,
+    total: mi.Color3f,
+    through: mi.Float,
+    rays: NDArray[np.int64],
+    slots: NDArray[np.int64],
+) -> None:
+    """Add to the parameters' gradients what places owe, given the ray of each and where it is kept."""
+    import mitsuba as mi
+
+    if len(rays) == 0:
+        return
+    ray, slot = upload(mi.UInt32, rays), upload(mi.UInt32, slots)
     t, after, w, *so_far = (dr.gather(mi.Float, values, slot) for values in kept)
     origin, direction, adjoint, back = (dr.gather(mi.Vector3f, values, ray) for values in (o, d, g, behind))
     all_of_it, end = dr.gather(mi.Color3f, total, ray), dr.gather(mi.Float, through, ray)
@@ -111,9 +144,7 @@ def descend(
     farther = mi.Vector3f(all_of_it) - mi.Vector3f(*so_far) + end * back
     seen = mi.Vector3f(dr.detach(here.colour))
     owed = here.step * dr.dot(after * seen - farther, adjoint)
-    loss = here.sigma * owed + w * dr.dot(mi.Vector3f(here.colour), adjoint)
-    dr.backward(loss)
-    return outcome
+    dr.backward(here.sigma * owed + w * dr.dot(mi.Vector3f(here.colour), adjoint))
 
 
 def _vectors(values: NDArray[Any]) -> mi.Vector3f:

@@ -40,8 +40,9 @@ _RATES = {"entries": 2e-2, "weights": 5e-3}
 """Of descent, at the beginning."""
 _FALL = 0.03
 """What remains of them at the end."""
-_WARM = 256
-"""Steps before anything is taken to be empty."""
+_WARM = 200
+"""Steps before anything is taken to be empty, of fewer places each."""
+_WARM_SHARE = 0.25
 _EVERY = 16
 """Steps between looks at the occupancy, each at one vertex of `_PARTS`."""
 _PARTS = 8
@@ -156,7 +157,7 @@ class _Run:
         import mitsuba as mi
 
         self.settings, self.space = settings, space
-        self.step, self.rays, self.seconds, self.cpu, self.curve = 0, 1024, 0.0, 0.0, []
+        self.step, self.rays, self.seconds, self.cpu, self.curve = 0, 256, 0.0, 0.0, []
         n = self.design.cells + 1
         self.visible = everywhere(self.design.cells) & self._seen()
         self.encoding = self.design.encoding(self.seed)
@@ -198,8 +199,10 @@ class _Run:
         fraction = self._fraction(seconds, steps)
         while fraction < 1.0:
             rng = np.random.default_rng((self.seed, 2, self.step))
-            if self.step >= _WARM and self.step % _EVERY == 0:
-                self._look_for_matter(rng)
+            if self.step == _WARM or (self.step > _WARM and self.step % _EVERY == 0):
+                for part in range(_PARTS) if self.step == _WARM else (self.step // _EVERY % _PARTS,):
+                    self._look_for_matter(rng, part)
+                self._empty()
                 matter = self._matter()
             errors.append(self._descend(matter, rng, fraction))
             self.step += 1
@@ -234,20 +237,16 @@ class _Run:
         late = self.design.ratio ** (rng.random(self.rays) - 0.5)
         backgrounds = rng.random((self.rays, 3))
         room = min(self.design.steps, _SLOTS // self.rays)
-        values = {"entries": self.encoding.data, "weights": self.network.packed}
-        for value in values.values():
-            dr.enable_grad(value)
         outcome = descend(matter, rays, late.astype(np.float32), backgrounds.astype(np.float32), room)
+        values = {"entries": self.encoding.data, "weights": self.network.packed}
         for name, value in values.items():
             rate = _RATES[name] * _FALL**fraction
-            found = self.moments[name].stepped(dr.detach(value), dr.grad(value), rate, self.step + 1)
-            dr.disable_grad(value)
-            value[:] = found
+            value[:] = self.moments[name].stepped(value, getattr(outcome, name), rate, self.step + 1)
         dr.eval(values, self.moments)
         per_ray = max(1.0, outcome.samples / self.rays)
-        wanted = int(SAMPLES / per_ray)
+        wanted = int(SAMPLES * (_WARM_SHARE if self.step < _WARM else 1.0) / per_ray)
         self.rays = int(np.clip(wanted, self.rays // 2, 2 * self.rays)) // 64 * 64
-        self.rays = int(np.clip(self.rays, 256, 65536))
+        self.rays = int(np.clip(self.rays, 64, 65536))
         return outcome.error
 
     def _seen(self) -> NDArray[np.bool_]:
@@ -267,12 +266,11 @@ class _Run:
             wide |= padded[a : a + m, b : b + m, c : c + m]
         return wide[np.ix_(near, near, near)]
 
-    def _look_for_matter(self, rng: np.random.Generator) -> None:
-        """Evaluate density at some vertices' surroundings; empty is what is thin wherever looked."""
+    def _look_for_matter(self, rng: np.random.Generator, part: int) -> None:
+        """Evaluate density around some of the vertices."""
         import mitsuba as mi
 
         n = self.design.cells
-        part = self.step // _EVERY % _PARTS
         index = np.arange(part, (n + 1) ** 3, _PARTS)
         z, y, x = np.unravel_index(index, self.thickness.shape)
         u = (np.stack([x, y, z], axis=1) + rng.uniform(-1.0, 1.0, (len(index), 3))) / n
@@ -282,8 +280,9 @@ class _Run:
         found = np.array(density(outputs[0])) * width
         flat = self.thickness.reshape(-1)
         flat[index] = np.maximum(_DECAY * flat[index], found)
-        if self.step < _WARM + _EVERY * _PARTS:  # not yet looked everywhere
-            return
+
+    def _empty(self) -> None:
+        """Take to be empty what was thin wherever looked."""
         limit = min(_THIN, float(self.thickness[self.visible].mean()))
         self.vertices = self.visible & (self.thickness > limit)
 

@@ -17,10 +17,14 @@ _GL = np.diag([-1.0, 1.0, -1.0, 1.0])
 
 
 def poses(count: int) -> Floats:
-    """Cameras on an arc, 3 from the cloud, looking at it; x left, y up, z forward."""
+    """Cameras on an arc, 3 from the cloud, looking at it; x left, y up, z forward.
+
+    Of an odd number of them the first and the ninth, which are held out, are not at its ends.
+    """
     found = []
     for k in range(count):
-        angle, height = 1.2 * (k / max(1, count - 1) - 0.5), 0.5 * np.sin(2.4 * k)
+        along = (2 * k + 3) % count / max(1, count - 1)
+        angle, height = 1.2 * (along - 0.5), 0.4 * np.sin(7.0 * along)
         centre = 3.0 * np.array(
             [np.sin(angle) * np.cos(height), np.sin(height), -np.cos(angle) * np.cos(height)]
         )
