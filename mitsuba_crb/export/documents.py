@@ -52,7 +52,7 @@ _PROVENANCE_KEYS = (
     "depth",
     "prior",
 )
-_OF_FIELDS = ("field", "deterministic")
+_OF_FIELDS = ("field", "deterministic", "photograph")
 
 
 def bound_document(

@@ -28,7 +28,7 @@ from ..radiance.field import Field, Viewpoint
 from ..render.fit import find
 from ..render.lending import turns
 from ..render.rays import coarse_grid
-from .likeness import compared, unlike
+from .likeness import Likeness, compared, unlike
 from .nuisances import FILM_NAMES, Nuisance, by_renders, opened
 from .options import MeasurementOptions
 
@@ -59,6 +59,8 @@ class FieldView:
     """The camera's name."""
     measured: Measured
     """What the camera measures."""
+    photograph: tuple[str, Likeness] | None = None
+    """That was taken from here, and how like it the field is; None if there is none."""
 
     @property
     def label(self) -> str:
@@ -102,7 +104,7 @@ class FieldView:
 
     def at(self, pose: NDArray[np.float64]) -> Self:
         """The same camera at another pose (4, 4)."""
-        return dataclasses.replace(self, pose=pose)
+        return dataclasses.replace(self, pose=pose, photograph=None)
 
     def seen_through(self, intrinsics: Intrinsics) -> Self:
         """The same field through another camera.
@@ -110,7 +112,7 @@ class FieldView:
         Raises:
             FieldError: as `Field.refuse`.
         """
-        other = dataclasses.replace(self, intrinsics=intrinsics)
+        other = dataclasses.replace(self, intrinsics=intrinsics, photograph=None)
         other.field.refuse(other.camera)
         return other
 
@@ -165,12 +167,15 @@ class FieldView:
 
     def provenance(self) -> dict[str, Any]:
         """What is measured, the field of view [deg] along x and y, the camera, and what the field says."""
+        name, likeness = self.photograph or ("", None)
+        taken = {} if likeness is None else {"photograph": {"file": name, **likeness._asdict()}}
         return {
             "measures": {"what": self.measured.name, "unit": self.measured.unit},
             "field": dict(self.field.provenance()),
             "fov_deg": self.camera.field_of_view_deg,
             "camera": self.intrinsics.to_dict(),
             "deterministic": True,
+            **taken,
         }
 
 
@@ -179,8 +184,8 @@ def open_field_view(field: Field, options: MeasurementOptions) -> Iterator[Field
     """A field through the camera that the options ask for, or one of those that it comes with.
 
     Raises:
-        FieldError: the options ask for what a field has not, it comes with no camera where one is needed, or
-            the camera cannot see it.
+        OptionError: the options ask for what a field has not.
+        FieldError: it comes with no camera where one is needed, or the camera cannot see it.
         SensorError: it comes with no camera of that name or index.
         CameraError: the image is of another shape than the camera's.
         PoseError: the pose is no rigid motion.
@@ -199,11 +204,10 @@ def open_field_view(field: Field, options: MeasurementOptions) -> Iterator[Field
             f"{field.label} is a radiance field, whose depth is not measured; leave out --measure (measure=)"
         )
     with turns:
-        intrinsics, photograph = options.camera, None
-        pose, variable = options.pose, "camera"
+        intrinsics, pose, variable, photograph = options.camera, options.pose, "camera", None
         if intrinsics is None or pose is None:
-            viewpoint, photograph = _viewpoint(field, options.sensor)
-            photograph = photograph if pose is None and intrinsics is None else None
+            viewpoint, taken = _viewpoint(field, options.sensor)
+            photograph = taken if intrinsics is None and pose is None else None
             intrinsics = viewpoint.intrinsics if intrinsics is None else intrinsics
             pose = viewpoint.pose if pose is None else pose
             variable = viewpoint.name
@@ -217,9 +221,7 @@ def open_field_view(field: Field, options: MeasurementOptions) -> Iterator[Field
             dataclasses.replace(measured, unit=DISPLAY_REFERRED),
         )
         field.refuse(view.camera)
-        if photograph is not None:
-            _compare(view, photograph)
-        yield view
+        yield view if photograph is None else _beside_its(photograph, view)
 
 
 def _viewpoint(field: Field, which: int | str) -> tuple[Viewpoint, Path | None]:
@@ -245,8 +247,8 @@ def _viewpoint(field: Field, which: int | str) -> tuple[Viewpoint, Path | None]:
     return viewpoints[index], photographs[index]
 
 
-def _compare(view: FieldView, photograph: Path) -> None:
-    """Warn if a view does not look like its photograph."""
+def _beside_its(photograph: Path, view: FieldView) -> FieldView:
+    """The view with what comparing it with its photograph says, and a warning if that is not its own."""
     found = compared(view, photograph, 0)
     if unlike([found]):
         warnings.warn(
@@ -255,3 +257,4 @@ def _compare(view: FieldView, photograph: Path) -> None:
             FieldWarning,
             stacklevel=2,
         )
+    return dataclasses.replace(view, photograph=(photograph.name, found))

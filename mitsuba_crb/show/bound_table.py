@@ -188,6 +188,9 @@ def _bound_facts(bound: PoseBound) -> list[tuple[str, str]]:
     rows.append(("length scale", _length_scale(bound.length_scale)))
     measures = facts.get("measures", {})
     rows += measured_facts(measures)
+    taken = facts.get("photograph", {})
+    if not math.isnan(taken.get("psnr_db", math.nan)):
+        rows.append(("photograph", f"{taken['file']}: PSNR of the render {taken['psnr_db']:.1f} dB"))
     rows.append(("noise", _noise(facts["noise"])))
     if facts.get("depth"):
         rows.append(("noise of depth", _noise(facts["depth"]["noise"])))

@@ -194,7 +194,12 @@ def test_a_photograph_of_something_else_is_warned_of(
     for picture, warned in ((true, False), (true[::-1, ::-1], True)):
         Image.fromarray(picture).save(tmp_path / "images" / "view0.png")
         assert cli.run(["bound", str(splats)]) == 0
-        assert ("probably of another frame" in _out(capsys)) is warned
+        out = _out(capsys)
+        assert ("probably of another frame" in out) is warned
+        assert "photograph view0.png: PSNR of the render " in out
+    # From elsewhere, or through another camera, there is nothing to compare.
+    assert cli.run(["bound", str(splats), "--pose", "0 0 0 0 0 1 0"]) == 0
+    assert "PSNR" not in _out(capsys)
 
 
 def test_a_photograph_is_aligned(splats: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
