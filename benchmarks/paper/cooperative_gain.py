@@ -29,8 +29,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from mitsuba_crb.agents.selection import select_tiles
-from mitsuba_crb.agents.team import load_team
 from mitsuba_crb.agents.tiles import Budget, TileInformation
+from mitsuba_crb.measure.team_file import load_team
 from mitsuba_crb.measure.teams import select_team
 
 HERE = Path(__file__).parent

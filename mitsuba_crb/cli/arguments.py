@@ -93,7 +93,9 @@ _SCENE_S = "scene"
 
 def camera_file(text: str | None) -> Path | None:
     """The file that a `--camera` text names, None if it names none."""
-    return None if text in (None, _SCENE_S) else _file_and_name(text)[0]
+    from ..datasets.intrinsics import file_and_name
+
+    return None if text in (None, _SCENE_S) else file_and_name(text)[0]
 
 
 def parse_camera(text: str | None) -> Intrinsics | None:
@@ -104,9 +106,9 @@ def parse_camera(text: str | None) -> Intrinsics | None:
     Raises:
         CameraError: the file is missing, of no known format or damaged, or the name is missing or unknown.
     """
-    from ..datasets.intrinsics import load_camera
+    from ..datasets.intrinsics import file_and_name, load_camera
 
-    return None if text in (None, _SCENE_S) else load_camera(*_file_and_name(text))
+    return None if text in (None, _SCENE_S) else load_camera(*file_and_name(text))
 
 
 def parse_noise(sigma: float | None, file: Path | None) -> NoiseModel | None:
@@ -195,13 +197,6 @@ def view_files(scene: Path, pose: str | None, camera: str | None, pixels: str | 
     """The files that the view is read from, which no output may overwrite."""
     named = (pose_file(pose), camera_file(camera), Path(pixels) if pixels else None)
     return [scene, *(file for file in named if file is not None)]
-
-
-def _file_and_name(text: str) -> tuple[Path, str | None]:
-    """Of "FILE:NAME", or of "FILE", in whose own name colons are allowed."""
-    file, colon, name = text.rpartition(":")
-    named = colon and not os.path.lexists(text) and os.path.lexists(file)
-    return (Path(file), name) if named else (Path(text), None)
 
 
 def _read(file: Path) -> Any:

@@ -15,11 +15,11 @@ def fuse(
 ) -> None:
     """What several agents know together of their common body's pose."""
     with foreseen(debug, variant):
-        from ..agents.team import load_team
         from ..export.targets import check_targets
+        from ..measure.team_file import load_team
 
         team = load_team(config)
-        check_targets({"--json": json_file}, [config, *(member.scene for member in team.members)])
+        check_targets({"--json": json_file}, team.files)
 
         from ..export.documents import fusion_document, write_json
         from ..measure.teams import fuse_team

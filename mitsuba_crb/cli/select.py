@@ -35,13 +35,13 @@ def select(
 ) -> None:
     """Which image tiles several agents should send under a budget."""
     with foreseen(debug, variant):
-        from ..agents.team import load_team
         from ..agents.tiles import Budget
         from ..export.targets import check_folder, check_targets
+        from ..measure.team_file import load_team
 
         team = load_team(config)
         limits = Budget(tiles=budget, tiles_per_agent=per_agent, bytes=size)
-        check_targets({"--json": json_file}, [config, *(member.scene for member in team.members)])
+        check_targets({"--json": json_file}, team.files)
         if plot_folder is not None:
             check_folder(plot_folder, "--plot")
 

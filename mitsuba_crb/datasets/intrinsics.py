@@ -33,6 +33,7 @@ KNOWN = (
     "focal, centre, model"
 )
 """The formats, in words."""
+_HERE = Path()
 
 
 def load_camera(path: str | os.PathLike[str], name: str | None = None) -> Intrinsics:
@@ -58,6 +59,18 @@ def load_camera(path: str | os.PathLike[str], name: str | None = None) -> Intrin
     if len(cameras) > 1:
         raise CameraError(f"{file} has several different cameras; name one of them: {_listed(found)}")
     return cameras.pop()
+
+
+def file_and_name(text: str, folder: Path = _HERE) -> tuple[Path, str | None]:
+    """The arguments of `load_camera` in "FILE:NAME" or "FILE", in whose own name colons are allowed.
+
+    Args:
+        text: what was said.
+        folder: where the file is.
+    """
+    file, _, name = text.rpartition(":")
+    named = file and not os.path.lexists(folder / text) and os.path.lexists(folder / file)
+    return (folder / file, name) if named else (folder / text, None)
 
 
 def cameras_of_poses(path: str | os.PathLike[str], poses: Poses) -> list[Intrinsics]:

@@ -18,7 +18,6 @@ from ..se3 import TWIST_ORDER, vector_from_pose
 
 if TYPE_CHECKING:
     from ..agents.selection import TileSelection
-    from ..agents.team import Team
     from ..bound.cramer_rao import PoseBound
     from ..bound.hcr import HCRBound
     from ..bound.misspecified import MisspecifiedCovariance
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     from ..estimate.trials import Validation
     from ..information.joint import JointInformation
     from ..measure.held_out import HeldOut
+    from ..measure.team_file import Team
     from ..measure.teams import TeamFusion, TeamSelection
 
 SCHEMA = "mitsuba-crb/bound/1"

@@ -18,7 +18,7 @@ from .adaptive import answer
 from .measurement import measurement
 from .opening import as_world, wanted
 from .options import MeasurementKeywords, MeasurementOptions
-from .sensing import COLOUR, DEPTH, RGBD
+from .sensing import COLOUR, DEPTH, OF_DEPTH, RGBD
 
 _NO_ERROR = (
     "rare paths decide on the errors of {}, and few have been met: what is stated is no error, whatever its "
@@ -149,10 +149,9 @@ def _rgbd_bound(
     start = time.perf_counter()
     loaded, label = as_world(scene, wanted(given))
     of_colour: tuple[str, ...] = ("channels", "exposure", "clip", "on_tile")
-    of_depth: tuple[str, ...] = ("depth_sigma", "depth_range", "depth_edges")
     alone: Any = {name: value for name, value in options.items() if name not in of_colour}
     depth = pose_bound(loaded, **{**alone, "measure": DEPTH})
-    alone = {name: value for name, value in options.items() if name not in of_depth}
+    alone = {name: value for name, value in options.items() if name not in OF_DEPTH}
     known = _image_alone(depth)
     before = known if prior is None else cramer_rao_bound(known, prior=prior).information
     colour = pose_bound(loaded, noise, prior=before, **{**alone, "measure": COLOUR})

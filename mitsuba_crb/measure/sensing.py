@@ -26,6 +26,9 @@ MEASURES = (COLOUR, DEPTH, RGBD)
 """What may be measured."""
 DEFAULT_DEPTH_NOISE = SigmaPower(0.01, 1.0)
 """Of a depth camera that nobody said more of."""
+OF_DEPTH = ("depth_sigma", "depth_range", "depth_edges")
+"""Options of a depth camera alone."""
+_HERE = Path()
 DepthSigma = float | Stereo | NoiseModel
 """Standard deviation of depth [scene unit], the law of a stereo camera, or a noise model of depth."""
 
@@ -49,11 +52,12 @@ def measured_by(options: MeasurementOptions) -> Measured | None:
         }.items():
             if value:
                 raise OptionError(f"{option} is of a depth camera: give --measure depth or rgbd (measure=)")
+    pixels = DepthPixels(*_range(options.depth_range), edges=options.depth_edges)
     if options.measure != DEPTH:
         return None if options.channels is None else CHANNELS[options.channels]
     if options.channels is not None:
         raise OptionError("--channels (channels=) is of colour, and --measure depth has none; leave it out")
-    return depth(DepthPixels(*_range(options.depth_range), edges=options.depth_edges))
+    return depth(pixels)
 
 
 def depth_noise(sigma: DepthSigma | None, focal_length: float) -> tuple[NoiseModel, str]:
@@ -91,8 +95,15 @@ def noise_of_depth(
     return depth_noise(options.depth_sigma, focal_length)
 
 
-def parse_depth_sigma(text: str | None) -> DepthSigma | None:
+def parse_depth_sigma(
+    text: str | None, option: str = "--depth-sigma", folder: Path = _HERE
+) -> DepthSigma | None:
     """A number, "stereo:BASELINE,PIXELS", or a file with depths and standard deviations in two columns.
+
+    Args:
+        text: what was said.
+        option: what errors call it.
+        folder: where the file is.
 
     Raises:
         NoiseError: numbers that cannot be.
@@ -106,7 +117,7 @@ def parse_depth_sigma(text: str | None) -> DepthSigma | None:
             baseline, pixels = map(float, numbers.split(","))
         except ValueError:
             raise OptionError(
-                f"--depth-sigma {text!r}: stereo needs the baseline [scene unit] and the standard deviation "
+                f"{option} {text!r}: stereo needs the baseline [scene unit] and the standard deviation "
                 "of the disparity [pixel], such as stereo:0.05,0.1"
             ) from None
         return Stereo(baseline, pixels)
@@ -115,20 +126,20 @@ def parse_depth_sigma(text: str | None) -> DepthSigma | None:
     except ValueError:
         pass
     else:
-        return positive(number, "--depth-sigma", "scene unit")
-    file = Path(text)
+        return positive(number, option, "scene unit")
+    file = folder / text
     if not file.exists():
         raise OptionError(
-            f"--depth-sigma {text!r} is neither a number [scene unit], nor stereo:BASELINE,PIXELS, nor a "
+            f"{option} {text!r} is neither a number [scene unit], nor stereo:BASELINE,PIXELS, nor a "
             "file with depths and standard deviations in two columns"
         )
     rows = read_rows(file, OptionError)
     if rows.ndim != 2 or rows.shape[1] != 2:
-        raise OptionError(f"--depth-sigma {file}: expected two columns, depth and sigma, got {rows.shape}")
+        raise OptionError(f"{option} {file}: expected two columns, depth and sigma, got {rows.shape}")
     try:
         return SigmaTable(rows[:, 0], rows[:, 1])
     except NoiseError as error:
-        raise NoiseError(f"--depth-sigma {file}: {error}") from error
+        raise NoiseError(f"{option} {file}: {error}") from error
 
 
 def parse_range(text: str | None) -> tuple[float, float] | None:

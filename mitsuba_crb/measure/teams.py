@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from ..agents.fusion import Agent, Fusion, fuse
 from ..agents.selection import TileSelection, select_tiles
-from ..agents.team import Member, Team
 from ..agents.tiles import Budget, TileInformation, about_common_body
 from ..bound.cramer_rao import PoseBound
 from ..errors import MitsubaCRBError
@@ -30,6 +29,8 @@ from ..render.scene import SceneFile
 from .exposure import exposed, start_metering
 from .measurement import measurement
 from .pose import pose_bound
+from .sensing import COLOUR, OF_DEPTH
+from .team_file import Member, Team
 from .tile_jacobian import TileJacobian
 from .tiles import tile_information
 
@@ -163,7 +164,7 @@ def _per_agent(
 
 def _exposures(team: Team, workers: int | None) -> dict[str, dict[str, Any]]:
     """One exposure for all default cameras but those that say theirs, by name, from their pooled values."""
-    metered = tuple(member for member in team.members if member.noise is None)
+    metered = tuple(member for member in team.members if member.is_metered)
     if len(metered) < 2 or team.measure.get("exposure") is not None:
         return {}
     found, _ = _each(_metered, replace(team, members=metered), workers, None)
@@ -179,7 +180,9 @@ def _exposures(team: Team, workers: int | None) -> dict[str, dict[str, Any]]:
 
 @in_turn
 def _metered(job: Job) -> NDArray[np.float64] | None:
-    with measurement(SceneFile(job.member.scene, job.member.defines), **job.options) as run:
+    options = {name: value for name, value in job.options.items() if name not in OF_DEPTH}
+    options["measure"] = COLOUR
+    with measurement(SceneFile(job.member.scene, job.member.defines), **options) as run:
         return None if run.view.white is not None else start_metering(run.view, run.options.seed)()
 
 

@@ -13,7 +13,7 @@ from .bound_table import print_deviations, print_not_resolved, unobserved_facts
 from .terminal import new_table, print_facts, print_line, print_notes
 
 if TYPE_CHECKING:
-    from ..agents.team import Team
+    from ..measure.team_file import Team
     from ..measure.teams import TeamFusion, TeamSelection
 
 

@@ -19,11 +19,12 @@ from small_scenes import scene as scene_of
 from mitsuba_crb import fisher_information, pose_bound, se3
 from mitsuba_crb.agents.fusion import Agent, fuse
 from mitsuba_crb.agents.selection import select_tiles
-from mitsuba_crb.agents.team import MeasureTable, load_team
 from mitsuba_crb.agents.tiles import Budget
 from mitsuba_crb.cli import app as cli
+from mitsuba_crb.datasets.intrinsics import load_camera
 from mitsuba_crb.errors import (
     BlindSpotWarning,
+    CameraError,
     ConfigError,
     FrameError,
     MitsubaCRBError,
@@ -38,8 +39,9 @@ from mitsuba_crb.information.image_jacobian import ImageJacobian
 from mitsuba_crb.information.linearisation import Linearisation, PixelSelection
 from mitsuba_crb.measure import teams as team_measure
 from mitsuba_crb.measure.options import MeasurementOptions
+from mitsuba_crb.measure.team_file import MeasureTable, load_team
 from mitsuba_crb.measure.teams import fuse_team, select_team
-from mitsuba_crb.noise import Gaussian, Laplace
+from mitsuba_crb.noise import Gaussian, Laplace, SigmaTable, Stereo
 from mitsuba_crb.render.pixels import render_pixels
 from mitsuba_crb.render.view import open_view
 
@@ -417,6 +419,63 @@ def test_noise_is_a_number_a_table_or_a_file(tmp_path: Path) -> None:
         assert [member.noise for member in team.members] == [expected] * 2
 
 
+def test_an_agent_has_a_camera_and_measures_as_its_table_says(tmp_path: Path) -> None:
+    (tmp_path / "rig.toml").write_text(
+        "[left]\nsize = [64, 48]\nfocal = 60.0\nmodel = 'opencv'\nk1 = -0.1\n"
+        "[right]\nsize = [64, 48]\nfocal = 50.0\n",
+        encoding="utf-8",
+    )
+    (tmp_path / "sigma.txt").write_text("1 0.01\n3 0.05\n", encoding="utf-8")
+    for text, expected in (
+        ("camera = 'rig.toml:left'", {"camera": load_camera(tmp_path / "rig.toml", "left")}),
+        ("channels = 'luminance'", {"channels": "luminance"}),
+        ("measure = 'rgbd'\nrange = [0.4, inf]", {"measure": "rgbd", "depth_range": (0.4, np.inf)}),
+        (
+            "measure = 'rgbd'\ndepth_sigma = 'sigma.txt'\ndepth_edges = true",
+            {"measure": "rgbd", "depth_sigma": SigmaTable([1, 3], [0.01, 0.05]), "depth_edges": True},
+        ),
+        (
+            "measure = 'rgbd'\ndepth_sigma = 'stereo:0.05,0.1'",
+            {"measure": "rgbd", "depth_sigma": Stereo(0.05, 0.1)},
+        ),
+        ("measure = 'rgbd'\ndepth_sigma = 0.02", {"measure": "rgbd", "depth_sigma": 0.02}),
+    ):
+        member = load_team(written(tmp_path, each=f"{text}\n")).members[0]
+        assert member.sensing == expected
+    assert tmp_path / "rig.toml" in load_team(written(tmp_path, each="camera = 'rig.toml:left'")).files
+    assert (
+        tmp_path / "sigma.txt"
+        in load_team(written(tmp_path, each="measure = 'rgbd'\ndepth_sigma = 'sigma.txt'")).files
+    )
+
+
+@pytest.mark.slow
+def test_depth_cameras_fuse_and_send_tiles_beside_cameras_of_colour(tmp_path: Path) -> None:
+    """The default cameras among them have one exposure, which depth has none of."""
+    (tmp_path / "rig.toml").write_text("size = [64, 48]\nfocal = 50.0\nmodel = 'opencv'\nk1 = -0.1\n")
+    table = "[[agents]]\nname = '{}'\nscene = '{}/warehouse.xml'\nsensor = '{}'\n{}\n"
+    own = {
+        "racks": "camera = 'rig.toml'",
+        "shutter": "measure = 'depth'\nrange = [0.1, 50]\ndepth_sigma = 0.02",
+        "floor": "measure = 'rgbd'\nchannels = 'luminance'",
+    }
+    path = tmp_path / "team.toml"
+    path.write_text(
+        "[measure]\nsize = [32, 24]\nspp = 8\n"
+        + "".join(table.format(name, WAREHOUSE, name, text) for name, text in own.items())
+    )
+    team = load_team(path)
+    fused = fuse_team(team, workers=1)
+    facts = [bound.provenance for bound in fused.bounds]
+    assert [fact["noise"]["unit"] for fact in facts] == ["radiance", "scene unit", "radiance"]
+    assert facts[0]["noise"]["white"] == facts[2]["noise"]["noise"]["white"]
+    assert facts[1]["noise"]["sigma"] == 0.02
+    of_plane = fused.bounds[1]
+    assert of_plane.rank == 3  # a shutter is a plane: what moves within it is not seen
+    chosen = select_team(dataclasses.replace(team, members=team.members[:2]), Budget(tiles=2), workers=1)
+    assert [tile.agent for tile in chosen.selection.chosen] == ["racks", "shutter"]
+
+
 def test_an_agent_whose_noise_couples_pixels_fuses_but_sends_no_tiles(tmp_path: Path) -> None:
     table = "{ model = 'low_rank_plus_diagonal', variance = 'v.npy', modes = 'm.npy' }"
     np.save(tmp_path / "v.npy", np.full((24, 32, 3), 1e-4))
@@ -459,6 +518,17 @@ BAD = [
     ("", "noise = [1]", ConfigError, r"noise must be a number or a text or a table, not \[1\]"),
     ("", "noise = 'none.toml'", NoiseError, "agent 'racks': cannot read .*none.toml"),
     ("", "noise = { model = 'gausian', sigma = 1 }", NoiseError, "agent 'racks': .*gaussian"),
+    ("", "camera = 'none.yaml'", CameraError, "agent 'racks': camera: .*none.yaml"),
+    ("", "camera = 3", ConfigError, "agent 'racks': camera must be a text, not 3"),
+    ("", "measure = 'dept'", OptionError, "agent 'racks': .*measure.*'dept'; did you mean 'depth'"),
+    ("", "channels = 'grey'", OptionError, "agent 'racks': .*channels.*'grey'; .*luminance"),
+    ("", "depth_sigma = 0.1", OptionError, "agent 'racks': .*depth_sigma.* is of a depth camera"),
+    ("", "measure = 'rgbd'\ndepth_sigma = -0.1", NoiseError, "agent 'racks': .*sigma of depth .*positive"),
+    ("", "measure = 'rgbd'\ndepth_sigma = 'x'", OptionError, "agent 'racks': depth_sigma 'x' is neither"),
+    ("", "measure = 'rgbd'\nrange = [5, 1]", OptionError, "agent 'racks': .*range.* 5:1 is empty"),
+    ("", "measure = 'rgbd'\nrange = 5", ConfigError, "agent 'racks': range must be the lowest and the"),
+    ("", "measure = 'depth'\nnoise = 0.1", OptionError, "agent 'racks': noise is of colour"),
+    ("", "depth_edges = 1", ConfigError, "agent 'racks': depth_edges must be true or false, not 1"),
     ("", "pose = [1, 2, 3]", PoseError, "agent 'racks': pose: .*seven numbers"),
     ("", 'pose = ["a"]', PoseError, "agent 'racks': pose: "),
     (

@@ -20,6 +20,14 @@
     budget = 8
     defines = { width = 64 }
 
+    [[agents]]
+    name = "rear"
+    scene = "hall.xml"
+    camera = "rig.yaml:cam1"
+    measure = "rgbd"
+    depth_sigma = "stereo:0.05,0.1"
+    range = [0.4, 5]
+
 `TeamTable` and the tables in it say which keys there are, and what they mean.
 
 Poses are x y z qx qy qz qw or 4x4 matrices, conventions as in `se3`. Everything is checked here, before
@@ -29,7 +37,7 @@ anything is rendered; a key that nobody knows is an error that names the near on
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -38,13 +46,18 @@ import numpy as np
 from pydantic import Field, NonNegativeInt
 
 from .. import noise, se3
-from ..errors import ConfigError, NoiseError, PoseError
+from ..agents.quantisation import Form, Precision
+from ..camera import Intrinsics
+from ..datasets.intrinsics import file_and_name, load_camera
+from ..errors import CameraError, ConfigError, NoiseError, OptionError, PoseError
 from ..files import Table, checked, expected, read_toml
 from ..noise import NoiseModel
 from ..se3 import Array
-from .quantisation import Form, Precision
+from .options import MeasurementOptions
+from .sensing import DEPTH, parse_depth_sigma
 
 Size = Annotated[tuple[int, int], Field(strict=False), expected("width and height in whole pixels")]
+Range = Annotated[tuple[float, float], Field(strict=False), expected("the lowest and the highest depth")]
 
 
 class BodyTable(Table):
@@ -97,6 +110,20 @@ class AgentTable(Table):
     noise: float | str | dict[str, Any] | None = None
     """Sigma of Gaussian noise, a table as in `noise.schema`, or the name of a file beside this one with such
     a table; default as for `bound`."""
+    camera: str | None = None
+    """"FILE" or "FILE:NAME", a calibration beside this file in place of the sensor's, which is scaled to the
+    measurement's size."""
+    measure: str | None = None
+    """colour, depth or rgbd; tiles are of colour or of depth."""
+    channels: str | None = None
+    """Of colour: rgb, luminance, red, green or blue."""
+    depth_sigma: float | str | None = None
+    """Standard deviation of depth [scene unit], "stereo:BASELINE,PIXELS", or the name of a file beside this
+    one with depths and standard deviations in two columns."""
+    range: Range | None = None
+    """Depths that are measured [scene unit]."""
+    depth_edges: bool | None = None
+    """Whether depth is measured at edges, too."""
     budget: NonNegativeInt | None = None
     """Tiles that it may send."""
     bytes: NonNegativeInt | None = None
@@ -136,6 +163,15 @@ class Member:
     """How many bytes it may send; None is no limit."""
     defines: dict[str, str]
     """The scene's defaults to set."""
+    sensing: dict[str, Any]
+    """`MeasurementOptions` of its own: its camera, and what it measures."""
+    files: tuple[Path, ...]
+    """What it is read from."""
+
+    @property
+    def is_metered(self) -> bool:
+        """Whether it is the default camera, whose noise follows from its exposure."""
+        return self.noise is None and self.sensing.get("measure") != DEPTH
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,12 +191,18 @@ class Team:
     tiles: dict[str, Any]
     """`tile_size`, `form`, `message_precision` and `rank` of `tile_information`."""
 
+    @property
+    def files(self) -> list[Path]:
+        """What it is read from, which no output may overwrite."""
+        return [self.path, *(file for member in self.members for file in member.files)]
+
     def options(self, member: Member) -> dict[str, Any]:
         """A member's measurement options; its seed depends on its name, not on its place in the file."""
         words = [self.measure.get("seed", 0), *member.name.encode()]
         seed = int(np.random.SeedSequence(words).generate_state(1, np.uint64)[0])
         options = {**self.measure, "sensor": member.sensor, "pose": member.pose, "seed": seed}
-        if member.noise is not None:  # its camera is another than the default one
+        options |= member.sensing
+        if not member.is_metered:
             options = {name: value for name, value in options.items() if name not in ("exposure", "clip")}
         return options
 
@@ -182,8 +224,10 @@ def load_team(path: Path) -> Team:
     """Read a team's file.
 
     Raises:
+        CameraError: a calibration cannot be used.
         ConfigError: no such file or scene, not TOML, a key that nobody knows, a value of the wrong type, no
             agents, or two of one name.
+        OptionError: an agent cannot measure this, or not all of it.
         PoseError: a pose or transform is no rigid motion.
         NoiseError: an impossible noise.
     """
@@ -221,7 +265,46 @@ def _member(table: AgentTable, path: Path) -> Member:
         tiles=table.budget,
         bytes=table.bytes,
         defines={key: str(value) for key, value in table.defines.items()},
+        sensing=_sensing(table, path.parent, where),
+        files=tuple(_files(table, path.parent)),
     )
+
+
+def _files(table: AgentTable, folder: Path) -> Iterator[Path]:
+    """Those that exist of the names in a table."""
+    camera = [] if table.camera is None else [file_and_name(table.camera, folder)[0]]
+    texts = [text for text in (table.scene, table.noise, table.depth_sigma) if isinstance(text, str)]
+    yield from (file for file in [*camera, *(folder / text for text in texts)] if os.path.isfile(file))
+
+
+def _sensing(table: AgentTable, folder: Path, where: str) -> dict[str, Any]:
+    """Those options that the table says."""
+    sigma: Any = table.depth_sigma
+    try:
+        if table.measure == DEPTH and table.noise is not None:
+            raise OptionError("noise is of colour, and depth_sigma of depth; leave out noise")
+        if isinstance(sigma, str):
+            sigma = parse_depth_sigma(sigma, "depth_sigma", folder)
+        said: dict[str, Any] = {
+            "camera": _camera(table.camera, folder),
+            "measure": table.measure,
+            "channels": table.channels,
+            "depth_sigma": sigma,
+            "depth_range": table.range,
+            "depth_edges": table.depth_edges,
+        }
+        sensing = {name: value for name, value in said.items() if value is not None}
+        MeasurementOptions(**sensing)
+    except (CameraError, NoiseError, OptionError) as error:
+        raise type(error)(f"{where}: {error}") from None
+    return sensing
+
+
+def _camera(text: str | None, folder: Path) -> Intrinsics | None:
+    try:
+        return None if text is None else load_camera(*file_and_name(text, folder))
+    except CameraError as error:
+        raise CameraError(f"camera: {error}") from None
 
 
 def _noise(value: Any, folder: Path, where: str) -> NoiseModel | None:
