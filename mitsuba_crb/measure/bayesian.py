@@ -32,6 +32,7 @@ from ..noise import NoiseModel
 from ..noise.covariance import ROUNDING, roots
 from ..render.lending import in_turn
 from ..se3 import Array
+from .exposure import noise_facts
 from .measurement import measurement
 from .options import MeasurementKeywords
 
@@ -72,7 +73,7 @@ def van_trees(
         bound = cramer_rao_bound(prior_average(informations, offsets, run.view.pose), prior=prior)
         provenance = {
             **run.provenance(),
-            "noise": run.noise_facts(model, origin),
+            "noise": noise_facts(model, origin, run.view.measured, run.saturation),
             "draws": draws,
         }
     return dataclasses.replace(bound, provenance=provenance)

@@ -15,13 +15,13 @@ Values are those of the channels, each of which saturates by itself.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..jacobian.method import Paths
-from ..noise import Clipped, Gaussian, Luminance, NoiseModel, ThresholdNoise
+from ..noise import Clipped, Gaussian, Luminance, Measured, NoiseModel, ThresholdNoise
 from ..render.random import PILOT
 from ..render.rays import coarse_grid
 
@@ -128,3 +128,11 @@ class Saturation:
     def share(self) -> float | None:
         """Of the measured values; None of noise that has no white."""
         return self.saturated / self.values if self.values else None
+
+
+def noise_facts(noise: NoiseModel, origin: str, measured: Measured, saturation: Saturation) -> dict[str, Any]:
+    """What a provenance says of the noise that was measured under, JSON-able."""
+    if measured.depth is not None and isinstance(noise, Luminance):
+        noise = noise.noise  # of the one depth of the image's three
+    facts = {**noise.to_dict(), "description": noise.description, "origin": origin, "unit": measured.unit}
+    return facts if saturation.share is None else {**facts, "saturated": saturation.share}

@@ -27,7 +27,7 @@ from ..information.image_jacobian import ImageJacobian
 from ..information.joint import JointAccumulator, JointInformation, tile_side
 from ..information.linearisation import Linearisation, PixelSelection
 from ..jacobian.method import Method, Paths, tile_by_tile
-from ..noise import CoupledNoise, IndependentNoise, Luminance, NoiseModel
+from ..noise import CoupledNoise, IndependentNoise, NoiseModel
 from .differences import Differences
 from .expected import PILOT_SPP, ExpectedImage, whole_pilot
 from .exposure import Exposure, Saturation, exposed, start_metering
@@ -177,15 +177,6 @@ class Measurement:
     def expected(self) -> ExpectedImage:
         """What noise may depend on."""
         return ExpectedImage(self.view, self.options.seed, self.options.tile)
-
-    def noise_facts(self, noise: NoiseModel, origin: str) -> dict[str, Any]:
-        """What a provenance says of the noise that was measured under, JSON-able."""
-        if self.view.measured.depth is not None and isinstance(noise, Luminance):
-            noise = noise.noise  # of the one depth of the image's three
-        facts = {**noise.to_dict(), "description": noise.description, "origin": origin}
-        facts["unit"] = self.view.measured.unit
-        share = self.saturation.share
-        return facts if share is None else {**facts, "saturated": share}
 
     def warn_of_limits(self) -> None:
         """Warn of what the arithmetic does not resolve, and by name of what the method cannot see here."""

@@ -15,6 +15,7 @@ from ..information.image_jacobian import ImageJacobian
 from ..noise import NoiseModel
 from ..render.lending import in_turn
 from .adaptive import answer
+from .exposure import noise_facts
 from .measurement import measurement
 from .opening import as_world, wanted
 from .options import MeasurementKeywords, MeasurementOptions
@@ -116,7 +117,7 @@ def pose_bound(
     provenance = {
         **found.run.provenance(),
         **found.provenance,
-        "noise": found.run.noise_facts(model, origin),
+        "noise": noise_facts(model, origin, found.run.view.measured, found.run.saturation),
         "noise_inflation": alone.information.noise_inflation,
         "finite_differences": found.run.differences.to_dict(alone),
         "warnings": list(dict.fromkeys(str(warning.message) for warning in caught)),
