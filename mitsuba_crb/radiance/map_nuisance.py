@@ -39,7 +39,7 @@ _CHUNK = 1 << 24
 """Pairs of splat and pixel whose shares are held at once as they come from the kernel."""
 _NOTHING = 1e-7
 """Shares below leave an image of float32 as it is."""
-_TOLERANCE = 1e-5
+_TOLERANCE = 1e-4
 """Of the residual's norm, in the solution's own metric: what is lost is right to its square."""
 _ROUNDS = 1000
 

@@ -27,7 +27,7 @@ class Cuts:
     sigmas: float = np.inf
     """Beyond which it is not drawn; INRIA's 3."""
     transmittance: float = 0.0
-    """Below which nothing more is laid under; INRIA's 1e-4."""
+    """What would leave less ends its pixel; INRIA's 1e-4."""
 
 
 INRIA = Cuts(1.0 / 255.0, 3.0, 1e-4)
@@ -71,6 +71,7 @@ def picture(
     kind = complex if columns else float
     transmittance, depth = np.ones((k, len(film)), dtype=kind), np.zeros((k, len(film)), dtype=kind)
     colour = np.zeros((k, len(film), 3), dtype=kind)
+    unfinished = np.ones((k, len(film)), dtype=bool)
     drawn = project(splats, order, camera, pose, twists, DILATION[variant], variant != "classic")
     # What covers less than 1e-13 of every pixel would only cost time.
     beyond = np.maximum(film.min(axis=0) - drawn[0][:, 0].real, drawn[0][:, 0].real - film.max(axis=0))
@@ -82,12 +83,15 @@ def picture(
         alpha = opacity[:, None] * np.exp(power)
         alpha = np.where(alpha.real > 0.99, 0.99, alpha)
         shown = (alpha.real >= cuts.alpha) & (power.real >= -0.5 * cuts.sigmas**2)
-        shown &= (transmittance * (1.0 - alpha)).real >= cuts.transmittance
+        unfinished &= ~(shown & ((transmittance * (1.0 - alpha)).real < cuts.transmittance))
+        shown &= unfinished
         alpha = np.where(shown, alpha, 0.0)
         weight = alpha * transmittance
         colour += weight[:, :, None] * light[:, None]
         depth += weight * distance[:, None]
         transmittance = transmittance * (1.0 - alpha)
+        if not unfinished.any() or transmittance.real.max() < 1e-14:
+            break
     colour += transmittance[:, :, None] * np.asarray(background)
     covered = 1.0 - transmittance[0].real
     return Picture(
