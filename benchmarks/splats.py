@@ -5,6 +5,7 @@
     python benchmarks/splats.py --only million   # one million splats; time against their number and pixels
     python benchmarks/splats.py --only cuts      # the uncut picture beside the cut one, and F of both
     python benchmarks/splats.py --only rotation  # rotation columns beside the filter term
+    python benchmarks/splats.py --only maps      # what not knowing colours or opacities costs
 
 Needs ../shared/data/gaussians. Times are medians of warm calls that take turns, each from a pose of its own:
 projection, sorting and blending, to NumPy arrays. `cuts` uses the slow twin of tests/radiance with INRIA's
@@ -43,7 +44,8 @@ from splat_views import (  # noqa: E402
 from mitsuba_crb import se3  # noqa: E402
 from mitsuba_crb.camera import Camera  # noqa: E402
 from mitsuba_crb.datasets.splats import Splats  # noqa: E402
-from mitsuba_crb.radiance.gaussians import Gaussians  # noqa: E402
+from mitsuba_crb.radiance.gaussians import Gaussians, load_gaussians  # noqa: E402
+from mitsuba_crb.radiance.map_nuisance import UNKNOWNS, map_cost, map_information  # noqa: E402
 
 DATA = ROOT.parent / "shared" / "data" / "gaussians"
 ROUNDS = 5
@@ -202,12 +204,47 @@ def rotation() -> None:
     console.print(table)
 
 
+def maps() -> None:
+    """What not knowing a map exactly costs a pose's standard deviations, at σ = 0.02 in a 96² image."""
+    table = Table(
+        *(
+            "splat",
+            "unknown",
+            "known from",
+            "std / std with the map known",
+            "least eigenvalue by the diagonal",
+        ),
+        *("rounds", "[s]"),
+        title="maps",
+    )
+    camera, weight = real_camera(96), 1.0 / 0.02**2
+    pixels = pixels_of(camera)
+    for name, file in (("playbot, 3000", "playbot_lod/playbot_lod5_3000.ply"), ("hall, 9080", REAL["hall"])):
+        field, views = load_gaussians(DATA / file), real_views(name.partition(",")[0])
+        for unknowns in UNKNOWNS:
+            seen = sum(
+                map_information(field, camera, pose, pixels, weight, unknowns=unknowns) for pose in views
+            )
+            for source, prior in (("0.05 each", 1.0 / 0.05**2), ("three views", seen + 1.0)):
+                start = time.perf_counter()
+                cost = map_cost(field, camera, views[0], pixels, weight, unknowns=unknowns, prior=prior)
+                seconds = time.perf_counter() - start
+                std = [np.sqrt(np.diag(np.linalg.inv(F))) for F in (cost.information, cost.known)]
+                size = np.sqrt(np.diag(cost.known))
+                left = (cost.known - cost.lost_by_diagonal) / np.outer(size, size)
+                table.add_row(
+                    *(name, unknowns, source, between(std[0] / std[1])),
+                    *(f"{np.linalg.eigvalsh(left)[0]:.3f}", f"{cost.rounds}", f"{seconds:.1f}"),
+                )
+    console.print(table)
+
+
 def between(values: np.ndarray) -> str:
     """The least and the largest of six."""
     return f"{values.min():.3f} to {values.max():.3f}"
 
 
-SECTIONS = {"cost": cost, "million": million, "cuts": cuts, "rotation": rotation}
+SECTIONS = {"cost": cost, "million": million, "cuts": cuts, "rotation": rotation, "maps": maps}
 
 
 def main() -> None:
