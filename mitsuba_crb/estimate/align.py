@@ -25,8 +25,10 @@ from ..measure.options import MeasurementKeywords, MeasurementOptions
 from ..measure.tone import TONES, Tone, ToneKind
 from ..noise import CoupledNoise, Gaussian, IndependentNoise, NoiseModel
 from ..noise.residuals import ResidualCovariance
+from ..radiance.field import Field
 from ..render.lending import in_turn
 from ..se3 import Array
+from .coarse_field import CoarseField
 from .misfit import Anchor, Misfit
 from .optimisers import DAMPING, SMALL_MOTION, Status, adam, least_squares
 from .reduction import pyramid
@@ -210,15 +212,19 @@ def approach(
     with measurement(loaded, **options) as run:
         # Chosen once, where the search starts: a reduced image is of the same pixels.
         found: MeasurementKeywords = {**options, "pixels": run.mask}
-        words = run.selection.description
-    left = run.mask[..., None] & np.isfinite(measured).all(axis=2, keepdims=True)
-    for small, of_small in pyramid(np.where(left, measured, np.nan), model, levels):
+        words, view = run.selection.description, run.view
+    left = run.mask & np.asarray(np.isfinite(measured).all(axis=2))
+    for small, of_small in pyramid(np.where(left[..., None], measured, np.nan), model, levels):
         coarse: MeasurementKeywords = {
             **found,
             "size": (small.shape[1], small.shape[0]),
             "pixels": None,
         }
-        with measurement(loaded, **coarse) as run:
+        world = loaded
+        if isinstance(loaded, Field):
+            world = CoarseField(loaded, view.camera, left, round(len(measured) / len(small)))
+            coarse["camera"] = view.intrinsics
+        with measurement(world, **coarse) as run:
             misfit = Misfit(run, small, of_small, None, Tone(tone))
             pose, status, steps = least_squares(misfit, run.view.pose, _damping(estimator), iterations)
             rms = misfit.rms(misfit.difference(pose))

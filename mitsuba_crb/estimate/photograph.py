@@ -25,7 +25,7 @@ from ..errors import AlignmentError, OutOfViewError
 from ..files import Record
 from ..measure.held_out import HeldOut, held_out_residuals
 from ..measure.likeness import LEAST_GAIN_DB, POOR_DB
-from ..measure.opening import as_world, kind_of, open_measurable, wanted
+from ..measure.opening import as_world, open_measurable, wanted
 from ..measure.options import MeasurementKeywords, MeasurementOptions
 from ..measure.stations import Station, named
 from ..measure.tone import ToneKind
@@ -159,7 +159,7 @@ def align_photograph(
     loaded, label = as_world(source, wanted(MeasurementOptions(**first)))
     with open_measurable(loaded, MeasurementOptions(**first)) as view:
         size, own = view.size, Station("start", view.pose, None)
-        display = view.white is not None
+        display, deterministic = view.white is not None, view.deterministic
     if options.get("size") is None:
         size = min(size, picture.size)
     measured = comparable(picture, size, encoding=encoding, display=display)
@@ -194,7 +194,8 @@ def align_photograph(
     residuals = None if others is None else others.covariance()
     result = align(loaded, measured.values, noise, residuals=residuals, **common, **last)
     spp = MeasurementOptions(**last).uniform_spp
-    if options.get("spp") is None and result.status == "converged" and result.excess > _EXCESS:
+    given = deterministic or options.get("spp") is not None
+    if not given and result.status == "converged" and result.excess > _EXCESS:
         # The renderer's part of the covariance falls as the paths.
         batches = MeasurementOptions(**last).batches
         spp = batches * math.ceil(min(spp * result.excess / _EXCESS, max(spp, _MOST)) / batches)
@@ -220,7 +221,7 @@ def align_photograph(
             **common,
             "sensor": result.bound.information.variable,
             "seed": MeasurementOptions(**options).seed,
-            "spp": 0 if kind_of(loaded).deterministic else spp,
+            "spp": 0 if deterministic else spp,
         },
     )
 

@@ -57,7 +57,7 @@ class BoundReport(Record):
 
 
 def bound_report(
-    scene: Path,
+    scene: Any,
     noise: NoiseModel | None = None,
     *,
     defines: Mapping[str, str] | None = None,
@@ -71,10 +71,10 @@ def bound_report(
     encoding: Encoding = "srgb",
     **options: Unpack[MeasurementKeywords],
 ) -> BoundReport:
-    """The bound of a scene's file, and what is asked beside it.
+    """The bound of a scene, and what is asked beside it.
 
     Args:
-        scene: a file, as `pose_bound` takes it.
+        scene: as for `pose_bound`.
         noise: as for `pose_bound`.
         defines: the file's `<default>`s.
         prior: a file, see `load_prior`.
@@ -120,7 +120,8 @@ def bound_report(
         gathering = Gathering()
     known = load_prior(prior) if prior else None
     named = dict(defines or {})
-    source: Any = SceneFile(scene, named)
+    from_file = isinstance(scene, str | Path)
+    source: Any = SceneFile(scene, named) if from_file else scene
     held_out, origin = None, "given"
     if capture is not None:
         held_out = _held_out(source, capture, encoding, options)
@@ -135,7 +136,7 @@ def bound_report(
     beyond = hcr_bound(source, noise, displacements=displacements, **options) if hcr else None
     facts = {
         **bound.provenance,
-        "scene": str(scene),
+        "scene": str(scene) if from_file else bound.provenance["scene"],
         "defines": named,
         "seconds": {**bound.provenance["seconds"], "total": time.perf_counter() - start},
     }

@@ -90,11 +90,16 @@ def _facts(result: PhotographAlignment) -> list[tuple[str, str]]:
     rows.append(
         (
             "estimator",
-            f"{settings['estimator']}, {settings['levels']} reduced images, {paths_said(settings['spp'])}; "
-            f"the renderer's noise adds {found.excess:.1%} to the covariance",
+            f"{settings['estimator']}, {settings['levels']} reduced images, {_renders(result)}",
         )
     )
     return rows
+
+
+def _renders(result: PhotographAlignment) -> str:
+    spp = result.settings["spp"]
+    noise = f", whose noise adds {result.alignment.excess:.1%} to the covariance" if spp else ""
+    return paths_said(spp) + noise
 
 
 def _tone(result: PhotographAlignment) -> list[tuple[str, str]]:
