@@ -10,11 +10,15 @@ from ..measure.options import CHECKING, MeasurementOptions
 from .options import (
     Batches,
     Camera,
+    Channels,
     Debug,
     Define,
+    DepthEdges,
+    DepthRange,
     DropInvalid,
     Integrator,
     Light,
+    Measure,
     Pixels,
     Pose,
     Scene,
@@ -54,6 +58,10 @@ def check(
     define: Define = None,
     light: Light = None,
     up: Up = None,
+    channels: Channels = None,
+    measure: Measure = MeasurementOptions.measure,
+    depth_range: DepthRange = None,
+    depth_edges: DepthEdges = False,
     pixels: Pixels = None,
     drop_invalid: DropInvalid = False,
     integrator: Integrator = None,
@@ -66,6 +74,7 @@ def check(
     allowed cannot tell.
     """
     with foreseen(debug, variant):
+        from ..measure.sensing import parse_range
         from .arguments import scene_defines, view_options
 
         options = view_options(
@@ -81,6 +90,8 @@ def check(
             seed=seed,
             batches=batches,
         )
+        options |= {"channels": channels, "measure": measure}
+        options |= {"depth_range": parse_range(depth_range), "depth_edges": depth_edges}
         defines = scene_defines(scene, define, light, up)
 
         from ..measure.check import check_jacobian

@@ -42,7 +42,7 @@ from ..information.image_jacobian import ImageJacobian
 from ..information.joint import joint_information
 from ..information.symmetric import triangle
 from ..jacobian.finite_difference import steps_of
-from ..noise import Gaussian
+from ..noise import Gaussian, NoiseModel
 from ..render.random import derived_seed
 from .measurement import measurement
 from .opening import as_world, kind_of, open_measurable, wanted
@@ -204,7 +204,7 @@ def _checked(scene: Any, methods: Sequence[str], options: MeasurementKeywords) -
     """By as many paths and at the pixels that the options say."""
     given = MeasurementOptions(**options)
     with open_measurable(scene, given) as view:
-        reference, deterministic = view.reference, view.deterministic
+        reference, deterministic, measured = view.reference, view.deterministic, view.measured
         step, order, misfit = reference.stepping(view)
         off = math.sqrt(misfit)
         # Translation steps have a longest, which takes both to the same bias.
@@ -223,7 +223,7 @@ def _checked(scene: Any, methods: Sequence[str], options: MeasurementKeywords) -
 
     # The same random numbers at both steps, so that their difference is the bias and less of the noise.
     fine, coarse = (jacobian(reference.name, 1, length) for length in (step, 2.0 * step))
-    noise = Gaussian(float(np.nanmax(np.abs(fine.image))) or 1.0)
+    noise = measured.noise(Gaussian(float(np.nanmax(np.abs(fine.image))) or 1.0))
     rows = []
     for index, method in enumerate(methods):
         own = jacobian(method, 2 + index)
@@ -269,7 +269,7 @@ class _Steps:
         coarse: ImageJacobian,
         order: int,
         doubled: NDArray[np.bool_],
-        noise: Gaussian,
+        noise: NoiseModel,
     ) -> Self:
         """From the Jacobians at both steps; pixels that one of them lacks are left out."""
         fine, coarse = fine.at(coarse.pixels), coarse.at(fine.pixels)

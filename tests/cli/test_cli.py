@@ -320,6 +320,20 @@ def test_a_nuisance_per_tile_is_refused_with_random_pixels(capsys):
     assert "black:8 with random:f pixels" in message
 
 
+def test_what_a_camera_measures_reaches_the_check(monkeypatch, capsys):
+    given = {}
+
+    def refuse(_, **options):
+        given.update(options)
+        raise OptionError("as far as this goes")
+
+    monkeypatch.setattr(validation, "check_jacobian", refuse)
+    refused(capsys, "check", "room.xml", "--measure", "depth", "--range", "0.4:5", "--depth-edges")
+    assert given.items() >= {"measure": "depth", "depth_range": (0.4, 5.0), "depth_edges": True}.items()
+    refused(capsys, "check", "room.xml", "--channels", "red")
+    assert given["channels"] == "red"
+
+
 def test_the_keywords_are_the_options():
     keywords = measuring.MeasurementKeywords.__annotations__
     written = {name: kind.__forward_arg__ for name, kind in keywords.items()}

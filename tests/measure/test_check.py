@@ -75,6 +75,17 @@ def test_flow_is_never_found_wrong_where_it_is_right_whatever_the_film(
     assert wrong.rows[0].disagrees[:3].all()
 
 
+def test_a_camera_of_one_channel_is_checked_by_that_alone() -> None:
+    """By the same random numbers as all three."""
+    options: dict[str, Any] = {"spp": 8, "seed": 2}
+    seen = textured_wall(sensor=camera(24, 18))
+    colour, red = (
+        check_jacobian(seen, channels=channels, **options).rows[0].ratio for channels in (None, "red")
+    )
+    assert np.all(red > 0.0)
+    assert not np.array_equal(red, colour)
+
+
 @pytest.mark.slow
 def test_as_many_paths_as_it_says_decide() -> None:
     wall = textured_wall(sensor=camera(24, 16))
