@@ -87,6 +87,41 @@ def parse_pose(text: str | None) -> npt.NDArray[np.float64] | None:
         raise PoseError(f"--pose {file}: {error}") from error
 
 
+def parse_body_from_camera(text: str | None, pose: object) -> npt.NDArray[np.float64] | None:
+    """(4, 4) from "x y z qx qy qz qw" or from a file, as `load_body_from_camera` reads it.
+
+    Args:
+        text: what was said.
+        pose: of the body.
+
+    Raises:
+        OptionError: there is none.
+        PoseError: the file is missing or unreadable, or is no rigid motion.
+    """
+    from .. import se3
+    from ..datasets.body_from_camera import load_body_from_camera
+
+    if text is None:
+        return None
+    if pose is None:
+        raise OptionError("--body-from-camera is of poses of a body: give them by --poses or --pose")
+    file = pose_file(text)
+    try:
+        return se3.pose_from_vector(text) if file is None else load_body_from_camera(file)
+    except PoseError as error:
+        raise PoseError(f"--body-from-camera {error}") from None
+
+
+def camera_of_body(
+    world_from_body: npt.NDArray[np.float64], body_from_camera: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """world_from_camera in our axes (4, 4), of a camera whose own are OpenCV's."""
+    from ..datasets.conventions import Convention
+
+    (pose,) = Convention("opencv", body_from_camera=body_from_camera).ours(world_from_body[None])
+    return np.asarray(pose)
+
+
 _SCENE_S = "scene"
 """What `--camera` says for the scene's own camera."""
 
@@ -193,9 +228,11 @@ def view_options(
     }
 
 
-def view_files(scene: Path, pose: str | None, camera: str | None, pixels: str | None) -> list[Path]:
+def view_files(
+    scene: Path, pose: str | None, camera: str | None, pixels: str | None, body: str | None = None
+) -> list[Path]:
     """The files that the view is read from, which no output may overwrite."""
-    named = (pose_file(pose), camera_file(camera), Path(pixels) if pixels else None)
+    named = (pose_file(pose), pose_file(body), camera_file(camera), Path(pixels) if pixels else None)
     return [scene, *(file for file in named if file is not None)]
 
 

@@ -10,6 +10,7 @@ import typer
 from ..measure.options import MeasurementOptions
 from .options import (
     Batches,
+    BodyFromCamera,
     Camera,
     Channels,
     Convention,
@@ -54,6 +55,7 @@ def bound(
     pose: Pose = None,
     poses: Poses = None,
     convention: Convention = None,
+    body_from_camera: BodyFromCamera = None,
     images: Images = None,
     photographs: Photographs = None,
     photo_encoding: PhotoEncoding = "srgb",
@@ -152,6 +154,8 @@ def bound(
         from ..export.targets import check_targets
         from ..measure.sensing import parse_depth_sigma, parse_range
         from .arguments import (
+            camera_of_body,
+            parse_body_from_camera,
             parse_displacements,
             parse_exposure,
             parse_noise,
@@ -170,6 +174,7 @@ def bound(
                 "--parquet": parquet_file,
             },
         )
+        body = parse_body_from_camera(body_from_camera, pose or poses)
         options = view_options(
             sensor=sensor,
             pose=pose,
@@ -184,6 +189,8 @@ def bound(
             seed=seed,
             batches=batches,
         )
+        if body is not None and pose is not None:
+            options["pose"] = camera_of_body(options["pose"], body)
         options |= {"channels": channels, "measure": measure, "depth_edges": depth_edges}
         options |= {"depth_sigma": parse_depth_sigma(depth_sigma), "depth_range": parse_range(depth_range)}
         options |= {"exposure": parse_exposure(exposure), "clip": not no_clip}
@@ -191,7 +198,8 @@ def bound(
         noise = parse_noise(sigma, noise_file)
         twists = parse_displacements(displacements, hcr=hcr)
         given = [poses, prior, noise_file, displacements, photographs]
-        inputs = [*view_files(scene, pose, camera, pixels), *(file for file in given if file is not None)]
+        inputs = view_files(scene, pose, camera, pixels, body_from_camera)
+        inputs += [file for file in given if file is not None]
         targets = {"--json": json_file, "--csv": csv_file, "--parquet": parquet_file}
         targets |= {"--exr": exr_file, "--plot": plot_file}
         check_targets(targets, inputs, resumed=() if poses is None else ("--json", "--csv"))
@@ -200,7 +208,7 @@ def bound(
             options |= {"json_file": json_file, "csv_file": csv_file}
             options |= {"parquet_file": parquet_file, "plot_file": plot_file}
             options |= {"noise": noise, "defines": defines, "own_cameras": camera is None}
-            return bound_poses(scene, poses, convention, images, **options)
+            return bound_poses(scene, poses, convention, body, images, **options)
 
         from ..datasets.captures import load_capture
         from ..export.documents import bound_document, write_json

@@ -61,6 +61,15 @@ Convention = Annotated[
         "`mitsuba_crb.datasets.poses`.",
     ),
 ]
+BodyFromCamera = Annotated[
+    str | None,
+    typer.Option(
+        metavar='FILE|"x y z qx qy qz qw"',
+        help="Of poses that are a body's: where it carries its camera, by EuRoC's sensor.yaml (T_BS), a 4x4 "
+        "matrix (text, .npy or .json), or position and quaternion; the camera's axes are OpenCV's, unless "
+        "--convention says otherwise.",
+    ),
+]
 Images = Annotated[
     Path | None,
     typer.Option(

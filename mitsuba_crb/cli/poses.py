@@ -11,6 +11,7 @@ from .outcome import answered, complain, measuring
 if TYPE_CHECKING:
     from ..camera import Intrinsics
     from ..measure.likeness import Likeness
+    from ..se3 import Array
 
 
 def check_pose_options(poses: Path | None, single: dict[str, Any], many: dict[str, Any]) -> None:
@@ -35,6 +36,7 @@ def bound_poses(
     scene: Path,
     poses: Path,
     convention: str | None,
+    body_from_camera: Array | None,
     images: Path | None,
     *,
     own_cameras: bool,
@@ -47,6 +49,7 @@ def bound_poses(
     """A table of bounds; options as `pose_table` has them.
 
     Args:
+        convention, body_from_camera: as `load_poses` has them.
         images: a folder of photographs; None: those that are at hand.
         own_cameras: each pose has the camera that the file says, if it has any.
 
@@ -62,7 +65,7 @@ def bound_poses(
 
     if parquet_file is not None:
         parquet_library()
-    read = load_poses(poses, convention)
+    read = load_poses(poses, convention, body_from_camera=body_from_camera)
     cameras = cameras_of_poses(poses, read) or None if own_cameras else None
     photographs = photographs_at_hand(poses, read) if images is None else photographs_in(images, read)
     record = PoseFiles(json_file, csv_file)

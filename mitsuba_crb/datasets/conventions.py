@@ -96,8 +96,10 @@ def settled(given: Convention, custom: Convention, where: str, *, fixed: bool) -
             raise PoseError(f"{where} is {custom.words} by definition; leave {mine} out of the convention")
     if fixed and given.body_from_camera is not None:
         raise PoseError(f"{where} has the camera's own poses; leave body_from_camera out")
+    # The body's poses say nothing of the camera's axes; body_from_camera does, which calibrations write.
+    axes = custom.axes if given.body_from_camera is None else "opencv"
     return Convention(
-        given.axes or custom.axes,
+        given.axes or axes,
         given.maps or custom.maps,
         given.order or custom.order,
         given.body_from_camera,

@@ -81,7 +81,9 @@ def listed(
     if convention.body_from_camera is not None:
         known += "; of a body, and carried to its camera by body_from_camera"
     elif body:
-        known += "; of the body, not of a camera: give body_from_camera of its calibration"
+        known += (
+            "; of the body, not of a camera: give --body-from-camera (body_from_camera=) of its calibration"
+        )
     words = f"{convention.words}{known}{more}"
     return Poses(convention.ours(poses), tuple(names), form, words, tuple(cameras), notes)
 

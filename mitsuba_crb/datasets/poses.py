@@ -49,8 +49,8 @@ def load_poses(
             the poses map (world_from_camera, camera_from_world) and a quaternion's order (xyzw, wxyz).
         dataparser: nerfstudio's `dataparser_transforms.json`, for poses of a transforms.json in the trained
             model's world; default: the one beside the file, if there is one.
-        body_from_camera: 4 x 4, of poses of a body, in the camera's axes of the convention: EuRoC's T_BS, or
-            the inverse of Kalibr's T_cam_imu.
+        body_from_camera: 4 x 4, of poses of a body: EuRoC's T_BS (`load_body_from_camera`), or the inverse of
+            Kalibr's T_cam_imu. The camera's axes are OpenCV's then, unless the convention says otherwise.
 
     Raises:
         PoseError: the file is of none of these formats or is damaged, a pose is no rigid motion, or the

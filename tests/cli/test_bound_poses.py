@@ -79,6 +79,26 @@ def test_a_row_a_pose_is_printed_and_written(path: Path, tmp_path: Path, capsys:
     assert files["parquet"].read_bytes().startswith(b"PAR1")
 
 
+def test_poses_of_a_body_are_carried_to_its_camera(path: Path, tmp_path: Path, capsys: Any) -> None:
+    """Of many poses and of one; the camera's axes are OpenCV's."""
+    body_from_camera = se3.exp([0.1, -0.2, 0.3, 1.0, -2.0, 0.5])
+    (tmp_path / "sensor.yaml").write_text(f"T_BS:\n  data: {body_from_camera.ravel().tolist()}\n")
+    camera = np.load(path)[0]
+    body = camera @ np.diag([-1.0, -1.0, 1.0, 1.0]) @ se3.inverse(body_from_camera)
+    np.save(tmp_path / "bodies.npy", body[None])
+    np.save(tmp_path / "body.npy", body)
+    carried = ["--body-from-camera", str(tmp_path / "sensor.yaml")]
+    out, many = tmp_path / "one.json", tmp_path / "many.jsonl"
+    command = ["bound", WALL, "--size", "12x8", "--spp", "4", *carried]
+    assert cli.run([*command, "--pose", str(tmp_path / "body.npy"), "--json", str(out)]) == 0
+    assert cli.run([*command, "--poses", str(tmp_path / "bodies.npy"), "--json", str(many)]) == 0
+    assert "carried to its camera" in " ".join(capsys.readouterr().out.split())
+    for document in (json.loads(out.read_text()), json.loads(many.read_text().splitlines()[0])):
+        np.testing.assert_allclose(document["pose"], camera, atol=1e-6)
+    assert cli.run(command) == 2
+    assert "--body-from-camera is of poses" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["json", "csv"])
 def test_an_interrupted_run_goes_on_with_the_same_command(

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from camera_files import written
 from pose_files import DOWN, FILES, array, colmap_binary, euroc, kitti, some_poses, transforms, tum
+from scipy.spatial.transform import Rotation
 
 from mitsuba_crb import load_poses, se3
+from mitsuba_crb.datasets.body_from_camera import load_body_from_camera
 from mitsuba_crb.errors import PoseError
 
 POSES = some_poses()
@@ -200,8 +202,46 @@ class TestBody:
     def test_of_the_inverse_too(self, tmp_path: Path) -> None:
         inverses = np.linalg.inv(POSES @ np.linalg.inv(self.BODY_FROM_CAMERA))
         path = written(tmp_path, array(inverses))
-        read = load_poses(path, "camera_from_world", body_from_camera=self.BODY_FROM_CAMERA)
+        read = load_poses(path, "mitsuba camera_from_world", body_from_camera=self.BODY_FROM_CAMERA)
         np.testing.assert_allclose(read.poses, POSES, rtol=0, atol=1e-14)
+
+    def test_a_calibration_s_camera_has_opencv_s_axes_whatever_holds_the_bodies(self, tmp_path: Path) -> None:
+        bodies = POSES @ DOWN @ np.linalg.inv(self.BODY_FROM_CAMERA)
+        read = load_poses(written(tmp_path, array(bodies)), body_from_camera=self.BODY_FROM_CAMERA)
+        np.testing.assert_allclose(read.poses, POSES, rtol=0, atol=1e-14)
+        assert "(opencv)" in read.convention
+
+    def test_it_is_read_from_files(self, tmp_path: Path) -> None:
+        B = self.BODY_FROM_CAMERA
+        numbers = ", ".join(f"{value:.17g}" for value in B.ravel())
+        np.save(tmp_path / "b.npy", B)
+        vector = [*B[:3, 3], *Rotation.from_matrix(B[:3, :3]).as_quat()]
+        files = {
+            "sensor.yaml": f"T_BS:\n  cols: 4\n  rows: 4\n  data: [{numbers}]\nrate_hz: 20",
+            "b.txt": "\n".join(" ".join(f"{value:.17g}" for value in row) for row in B),
+            "b.json": json.dumps(B.tolist()),
+            "v.txt": " ".join(f"{value:.17g}" for value in vector),
+        }
+        for path in [tmp_path / "b.npy", *(written(tmp_path, text, name) for name, text in files.items())]:
+            np.testing.assert_allclose(load_body_from_camera(path), B, rtol=0, atol=1e-14)
+
+    @pytest.mark.parametrize(
+        ("text", "words"),
+        [
+            ("rate_hz: 20", "T_BS"),
+            ("T_BS: {rows: 4}", "4x4"),
+            ("T_BS: {data: [1, 2, 3]}", "got 3 numbers"),
+            ("T_BS: 3", "got 1 numbers"),
+            ("2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1", "scale"),
+            ("", "T_BS"),
+            ("{", "YAML"),
+        ],
+    )
+    def test_a_file_without_it_is_named(self, text: str, words: str, tmp_path: Path) -> None:
+        path = written(tmp_path, text, "sensor.yaml")
+        with pytest.raises(PoseError, match=rf"sensor\.yaml.*{words}") as caught:
+            load_body_from_camera(path)
+        assert "\n" not in str(caught.value)
 
     def test_cameras_own_poses_need_none(self, tmp_path: Path) -> None:
         for form in ("COLMAP text", "LLFF", "INRIA", "transforms.json"):
