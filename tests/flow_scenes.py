@@ -7,7 +7,7 @@ nothing), so that few samples resolve what is. Where it costs nothing, all six d
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -265,6 +265,11 @@ LENSES = {
     "fisheye": Intrinsics((48, 36), (23.4, 23.4), (24.0, 18.0), "fisheye", (-0.02, 0.01, -0.004, 0.0005)),
 }
 """The fisheye sees 150° from corner to corner."""
+SMALL_LENSES = {
+    name: replace(lens.scaled((24, 18)), focal=(width * lens.focal[0], width * lens.focal[1]))
+    for (name, lens), width in zip(LENSES.items(), (0.6, 0.4, 0.6), strict=True)
+}
+"""Of few pixels, beyond which filters reach farther: so the fisheye sees less, and the pincushion more."""
 
 ROWS: dict[str, Row] = {
     "bilinear": Row(before_wall()),

@@ -5,14 +5,13 @@ Whole matrices are compared in test_flow_table.py, whose lenses these are.
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from flow_scenes import LENSES
+from flow_scenes import LENSES, SMALL_LENSES
 from small_scenes import T, camera, scene, texture, wall
 
 from mitsuba_crb import fisher_information, pose_bound, pose_jacobian, se3
@@ -30,11 +29,6 @@ from mitsuba_crb.render.view import open_view
 pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")
 
 every_lens = pytest.mark.parametrize("lens", LENSES)
-SMALL = {
-    name: dataclasses.replace(lens.scaled((24, 18)), focal=(width * lens.focal[0], width * lens.focal[1]))
-    for (name, lens), width in zip(LENSES.items(), (0.6, 0.4, 0.6), strict=True)
-}
-"""Of few pixels, beyond which filters reach farther: so the fisheye sees less, and the pincushion more."""
 BALL = {"type": "sphere", "radius": 0.4, "center": [0.3, 0.2, 2.0]}
 BOX = {"type": "cube", "to_world": T().translate([-0.5, -0.2, 2.2]).rotate([1, 1, 0], 40).scale(0.3)}
 
@@ -106,7 +100,7 @@ def test_information_is_that_of_finite_differences(lens: str, monkeypatch: pytes
     What ∇ ln det D' adds the baseline Ī takes away, but for noise: it is closure that sees it.
     """
 
-    noise, options = Gaussian(0.01), {"batches": 16, "camera": SMALL[lens]}
+    noise, options = Gaussian(0.01), {"batches": 16, "camera": SMALL_LENSES[lens]}
     jacobian = pose_jacobian(room(), method="finite_difference", spp=2048, seed=2, **options)
     expected = fisher_information(jacobian, noise)
 
@@ -128,10 +122,10 @@ def test_information_is_that_of_finite_differences(lens: str, monkeypatch: pytes
 @every_lens
 def test_a_constant_picture_does_not_change(lens: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Closure holds in every block, contours of solids included, and does not without ∇ ln det D'."""
-    found = pose_bound(room(), Gaussian(0.01), spp=1024, batches=16, camera=SMALL[lens])
+    found = pose_bound(room(), Gaussian(0.01), spp=1024, batches=16, camera=SMALL_LENSES[lens])
     assert found.provenance["finite_differences"]["blocks"] == {}
     without_swelling(monkeypatch)
-    found = pose_bound(room(), Gaussian(0.01), spp=1024, batches=16, camera=SMALL[lens])
+    found = pose_bound(room(), Gaussian(0.01), spp=1024, batches=16, camera=SMALL_LENSES[lens])
     assert sum(found.provenance["finite_differences"]["blocks"].values()) >= 3
 
 
@@ -141,7 +135,9 @@ def test_forward_mode_needs_the_film_map_alone(lens: str) -> None:
     """A smooth wall, where it is right: within 4 combined standard errors."""
     which = scene(wall=WALL, sensor=camera(24, 18))
     flow_, forward = (
-        pose_bound(which, Gaussian(0.01), spp=spp, batches=16, method=method, camera=SMALL[lens]).information
+        pose_bound(
+            which, Gaussian(0.01), spp=spp, batches=16, method=method, camera=SMALL_LENSES[lens]
+        ).information
         for method, spp in (("flow", 128), ("forward", 64))
     )
     error = np.hypot(flow_.standard_error, forward.standard_error)
@@ -152,7 +148,7 @@ def test_forward_mode_needs_the_film_map_alone(lens: str) -> None:
 @pytest.mark.slow
 def test_an_image_through_a_lens_is_aligned_through_it() -> None:
     """Its error is what the bound foretells: χ² of six is below 22.5 in 99.9 % of cases."""
-    noise, lens = Gaussian(0.02), SMALL["barrel"]
+    noise, lens = Gaussian(0.02), SMALL_LENSES["barrel"]
     with open_view(room(), camera=lens) as view:
         pixels = np.stack(np.meshgrid(*(np.arange(n) for n in view.size)), axis=-1).reshape(-1, 2)
         image = render_pixels(view, pixels, spp=4096, seed=9)[0].reshape(18, 24, 3)

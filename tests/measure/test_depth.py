@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from flow_scenes import GREY, THIN_LENS, mesh
+from flow_scenes import GREY, LENSES, SMALL_LENSES, THIN_LENS, mesh
 from matrices import misfit
 from numpy.typing import NDArray
 from small_scenes import T, camera, mi, scene, textured_wall, wall
 
-from mitsuba_crb import check_jacobian, pose_bound, pose_jacobian
+from mitsuba_crb import Intrinsics, check_jacobian, pose_bound, pose_jacobian
 from mitsuba_crb.cli import app as cli
 from mitsuba_crb.errors import NoiseError, OptionError, SensorError
 from mitsuba_crb.information.fisher import FisherInformation
@@ -50,13 +51,13 @@ def image_alone(bound: Any) -> FisherInformation:
     return bound.joint.information
 
 
-def closed_form(world: Any) -> NDArray[np.float64]:
+def closed_form(world: Any, lens: Intrinsics | None = None) -> NDArray[np.float64]:
     """F of a plane n·p = c: its depth at a film point with the ray z s is c/(n·s), which moves by
 
     dz/dξ = (n·ṗ)/(n·s),   ṗ = −ρ − φ×p;   averaged over the filter by a sum over its whole support.
     """
-    with open_view(world) as view:
-        pose, lens, h = view.pose, view.camera, PixelFilter.of(view.sensor.film().rfilter())
+    with open_view(world, camera=lens) as view:
+        pose, eye, h = view.pose, view.camera, PixelFilter.of(view.sensor.film().rfilter())
         width, height = view.size
     steps = (np.arange(32) + 0.5) / 32 * 2 * h.radius - h.radius
     weight = h.interpolate(np.stack([steps, steps], axis=-1))[:, 0]
@@ -68,7 +69,8 @@ def closed_form(world: Any) -> NDArray[np.float64]:
         for column in range(width):
             u, v = np.meshgrid(column + 0.5 + steps, row + 0.5 + steps)
             film = np.stack([u, v], axis=-1)
-            s = np.concatenate([(film - lens.centre) * lens.scale, np.ones((32, 32, 1))], axis=-1)
+            s = eye.directions(film.reshape(-1, 2)).reshape(32, 32, 3)
+            s /= s[..., 2:]
             slant = s @ normal
             p = s * (distance / slant)[..., None]
             columns = -np.concatenate([np.broadcast_to(normal, p.shape), np.cross(p, normal)], axis=-1)
@@ -84,6 +86,31 @@ def test_information_of_a_plane_is_that_of_the_closed_form(method: str, spp: int
     allowed = np.maximum(0.01, 3 * found.standard_error / np.sqrt(np.outer(*2 * [np.diag(expected)])))
     assert (error < allowed).all(), error
     assert (np.diag(found.standard_error) < 0.03 * np.diag(expected)).all()
+
+
+@pytest.mark.parametrize("lens", SMALL_LENSES)
+def test_information_of_a_plane_through_a_lens_is_that_of_the_closed_form(lens: str) -> None:
+    """Not without the lens: that would be off by more than what is allowed."""
+    small = SMALL_LENSES[lens]
+    large = slanted() | {"wall": wall(half=60.0)}
+    expected = closed_form(large, small)
+    plain = closed_form(large, replace(small, model="pinhole", distortion=()))
+    found = information(large, camera=small, spp=256)
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    allowed = np.maximum(0.01, 3 * found.standard_error / scale)
+    assert (np.abs(found.matrix - expected) / scale < allowed).all()
+    assert (np.abs(plain - expected) / scale > allowed).any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("edges", [False, True])
+@pytest.mark.parametrize("lens", SMALL_LENSES)
+def test_flow_through_a_lens_agrees_with_finite_differences_before_a_box(lens: str, edges: bool) -> None:
+    options: Any = {**DEPTH, "depth_edges": edges, "camera": SMALL_LENSES[lens], "spp": 256}
+    found = check_jacobian(scene(wall=wall(), box=BOX), **options)
+    (row,) = found.rows
+    allowed = np.maximum(0.01, 3 * row.ratio_standard_error) + found.reference_bias
+    assert (np.abs(row.ratio - 1.0) < allowed).all(), str(found)
 
 
 def test_without_the_motion_of_depth_itself_the_information_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -324,9 +351,13 @@ def test_a_text_that_is_no_range_is_named(text: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("lens", [None, "barrel"])
 @pytest.mark.parametrize("name", ["boxes", "textured_room"])
-def test_flow_agrees_with_finite_differences_in_the_shipped_scenes(name: str, scenes: Path) -> None:
-    found = check_jacobian(scenes / name / f"{name}.xml", spp=512, size=(64, 48), **DEPTH)
+def test_flow_agrees_with_finite_differences_in_the_shipped_scenes(
+    name: str, lens: str | None, scenes: Path
+) -> None:
+    own: Any = {"size": (64, 48)} if lens is None else {"camera": LENSES[lens]}
+    found = check_jacobian(scenes / name / f"{name}.xml", spp=512, **own, **DEPTH)
     (row,) = found.rows
     assert (np.abs(row.ratio - 1.0) < np.maximum(0.01, 3 * row.ratio_standard_error)).all(), str(found)
 
