@@ -24,7 +24,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Unpack
 
-import drjit as dr
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
@@ -33,32 +32,26 @@ from skimage.feature import corner_peaks, corner_shi_tomasi
 from .. import se3
 from ..agents.bundle import FEWEST_POINTS, PointView, point_information
 from ..camera import Camera
-from ..errors import NoiseError, OptionError, PixelsError, PointsError, SensorError
+from ..errors import NoiseError, OptionError, PixelsError, PointsError
 from ..files import Record
 from ..information.accumulate import InformationAccumulator
 from ..information.fisher import FisherInformation
 from ..information.symmetric import unpack
 from ..information.ustatistic import pixel_products, square_root, whiten
+from ..measure.measurable import Measurable
 from ..measure.measurement import Measurement, measurement
 from ..measure.options import MeasurementKeywords
 from ..measure.tile_jacobian import TileJacobian
 from ..noise import CoupledNoise, NoiseModel
-from ..render.arrays import download, upload
 from ..render.lending import in_turn
-from ..render.rays import camera_ray, move_ray, opaque_transform
-from ..render.view import View
 from ..se3 import Array
+from .film_points import FilmPoints, film_points
 
 HALF_WINDOW = 3
 """Windows reach this many pixels to each side, 7 x 7 by default."""
 
-# Inverse depth is linear on the film of a plane. Where its Laplacian exceeds this fraction of it per pixel²,
-# there is an outline or a crease.
-_BENT = 0.02
 # Standard deviations of its Monte Carlo noise by which a window's tensor must exceed zero in all directions.
 _RESOLVED = 4.0
-# A point is hidden if the surface before it is nearer by more than this fraction of its depth.
-_HIDDEN = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,10 +89,10 @@ def feature_tracks(
     """Texture corners of a view, lifted to 3D, each with the pixel noise that its window gives it.
 
     Shi and Tomasi's detector finds them. Windows show one smooth, matte surface: outlines and highlights are
-    no points of the scene.
+    no points of the scene. Of a radiance field's colours it is not known which are highlights.
 
     Args:
-        scene: path of a Mitsuba XML file, dictionary, or `mi.Scene`.
+        scene: as for `pose_bound`.
         noise: of the image; None as for `pose_bound`.
         most: how many corners at most, the strongest first.
         half_window: how far windows reach to each side [pixel].
@@ -115,8 +108,8 @@ def feature_tracks(
     if most < FEWEST_POINTS:
         raise OptionError(f"a pose needs at least {FEWEST_POINTS} corners; got most = {most}")
     with measurement(scene, **options) as run:
-        view = _scene_view(run)
-        windows = _Windows.of(run, view, noise, half_window)
+        behind = film_points(run.view)
+        windows = _Windows.of(run, behind, noise, half_window)
         peaks = corner_peaks(
             np.where(windows.usable, corner_shi_tomasi(windows.image, sigma=half_window / 2.0), 0.0),
             min_distance=2 * half_window,
@@ -133,7 +126,7 @@ def feature_tracks(
                 f"found {kept.sum()} corners, and a pose needs at least {FEWEST_POINTS}: too little texture "
                 "away from outlines, or windows too large for so few pixels (half_window, size)"
             )
-        points, _ = _hits(view, corners[kept])
+        points = behind.through(corners[kept])
     centres = np.zeros(windows.usable.shape, dtype=bool)
     centres[tuple(peaks[kept].T)] = True
     return FeatureTracks(
@@ -141,7 +134,7 @@ def feature_tracks(
         corners=corners[kept],
         pixels=pixels[kept],
         windows=ndimage.binary_dilation(centres, windows.shape),
-        view=windows.seen_by(view, tensors[kept]),
+        view=windows.seen_by(run.view, tensors[kept]),
         image_information=windows.image_information,
     )
 
@@ -166,16 +159,15 @@ def see_points(
     """
     world = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     with measurement(scene, **options) as run:
-        view = _scene_view(run)
-        windows = _Windows.of(run, view, noise, half_window)
+        behind = film_points(run.view)
+        windows = _Windows.of(run, behind, noise, half_window)
         p = _moved(se3.inverse(run.view.pose), world)
         seen = np.flatnonzero(p[:, 2] > 0.0)
         film = windows.camera.project(p[seen])
         inside = ((film >= 0.0) & (film < run.view.size)).all(axis=1)
         seen, film = seen[inside], film[inside]
         pixels = np.floor(film).astype(np.int64)
-        hits, _ = _hits(view, film)
-        open_to_view = hits[:, 2] >= (1.0 - _HIDDEN) * p[seen, 2]
+        open_to_view = behind.through(film)[:, 2] >= (1.0 - behind.hidden) * p[seen, 2]
         kept = open_to_view & windows.usable[pixels[:, 1], pixels[:, 0]]
     if kept.sum() < FEWEST_POINTS:
         raise PointsError(
@@ -183,32 +175,7 @@ def see_points(
             f"least {FEWEST_POINTS}: choose views that overlap"
         )
     tensors, _ = windows.measure(pixels[kept])
-    return windows.seen_by(view, tensors, seen[kept])
-
-
-def _scene_view(run: Measurement) -> View:
-    """The view, whose surfaces are traced.
-
-    Raises:
-        SensorError: it is of something else than a Mitsuba scene.
-    """
-    if not isinstance(run.view, View):
-        raise SensorError(f"feature tracks need a Mitsuba scene, and {run.view.label} is none")
-    return run.view
-
-
-def _pinhole(view: View) -> Camera:
-    """The view's camera.
-
-    Raises:
-        SensorError: it is no pinhole.
-    """
-    if view.camera.radius > 0.0:
-        raise SensorError(
-            f"points need a pinhole, and sensor {view.variable!r} is a {view.sensor.class_name()}: use a "
-            "perspective sensor"
-        )
-    return view.camera
+    return windows.seen_by(run.view, tensors, seen[kept])
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +194,7 @@ class _Windows:
     """(H, W), centres of windows that show one smooth, matte surface and measure both directions."""
 
     @staticmethod
-    def of(run: Measurement, view: View, noise: NoiseModel | None, half: int) -> _Windows:
+    def of(run: Measurement, behind: FilmPoints, noise: NoiseModel | None, half: int) -> _Windows:
         """Those of a view."""
         if half < 1:
             raise OptionError(f"windows reach at least 1 pixel to each side; got half_window = {half}")
@@ -235,7 +202,7 @@ class _Windows:
             raise PixelsError(
                 f"feature tracks need every pixel, not {run.selection.description}: leave out `pixels`"
             )
-        camera = _pinhole(view)
+        camera = run.view.camera
         model, _ = run.noise(noise)
         if isinstance(model, CoupledNoise):
             raise NoiseError(
@@ -251,9 +218,9 @@ class _Windows:
             x, y = part.pixels.T
             image[y, x] = part.mean.mean(axis=1)
             tensor[y, x], variance[y, x] = _structure_tensors(part, camera, weights)
-        # What a window's pixels see reaches beyond it by their filter's radius.
-        reach = 2 * (half + int(np.ceil(view.pixel_filter.radius))) + 1
-        blocked = ndimage.binary_dilation(_unsmooth(view) | np.isnan(image), np.ones((reach, reach)))
+        # What a window's pixels see reaches beyond it.
+        reach = 2 * (half + behind.reach) + 1
+        blocked = ndimage.binary_dilation(behind.unsmooth() | np.isnan(image), np.ones((reach, reach)))
         blocked[:half] = blocked[-half:] = blocked[:, :half] = blocked[:, -half:] = True
         side = 2 * half + 1
         total = ndimage.uniform_filter(tensor, side, axes=(0, 1), mode="constant")
@@ -276,7 +243,7 @@ class _Windows:
         moment = np.einsum("nyxij,nyxj->ni", tensors, positions + 0.5)
         return total, np.linalg.solve(total, moment[..., None])[..., 0]
 
-    def seen_by(self, view: View, tensors: Array, seen: NDArray[np.int64] | None = None) -> PointView:
+    def seen_by(self, view: Measurable, tensors: Array, seen: NDArray[np.int64] | None = None) -> PointView:
         """The view of points whose windows have these structure tensors (n, 2, 2)."""
         return PointView(view.variable, view.pose, self.camera, np.linalg.inv(tensors), seen)
 
@@ -293,32 +260,6 @@ def _structure_tensors(part: TileJacobian, camera: Camera, weights: Array) -> tu
     products = pixel_products(whitened)
     xx, xy, yy = products.var(axis=0, ddof=1) / len(products)
     return unpack(products.mean(axis=0).T), xx + 2.0 * xy + yy
-
-
-def _unsmooth(view: View) -> NDArray[np.bool_]:
-    """(H, W), where the film shows an outline, a crease, nothing, or what looks different from elsewhere."""
-    import mitsuba as mi
-
-    width, height = view.size
-    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    points, flags = _hits(view, np.stack([x.ravel(), y.ravel()], axis=1))
-    inverse_depth = (1.0 / points[:, 2]).reshape(height, width)
-    matte = flags.reshape(height, width) & int(mi.BSDFFlags.All & ~mi.BSDFFlags.Diffuse) == 0
-    smooth = np.abs(ndimage.laplace(inverse_depth)) < _BENT * inverse_depth
-    return np.asarray(~(matte & smooth))
-
-
-def _hits(view: View, film: Array) -> tuple[Array, NDArray[np.int64]]:
-    """First hits through film positions (n, 2) [pixel]: (n, 3) in the camera's frame, and BSDF flags (n,)."""
-    import mitsuba as mi
-
-    if len(film) == 0:
-        return np.empty((0, 3)), np.empty(0, dtype=np.int64)
-    position = mi.Point2f(*(upload(mi.Float, film[:, axis]) for axis in range(2)))
-    ray, _ = camera_ray(view, position, mi.Point2f(0.5, 0.5))
-    hit = view.scene.ray_intersect(move_ray(ray, opaque_transform(view.pose)))
-    point = ray.o + dr.select(hit.is_valid(), hit.t, dr.inf) * ray.d
-    return download(point).T, np.array(hit.bsdf().flags(), dtype=np.int64)
 
 
 def _moved(a_from_b: Array, points: Array) -> Array:

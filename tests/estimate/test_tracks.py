@@ -15,9 +15,12 @@ from small_scenes import camera, scene, textured_wall, wall
 
 from mitsuba_crb import cramer_rao_bound, fisher_information, load_scene, pose_jacobian, se3
 from mitsuba_crb.agents.bundle import bundle_adjustment, point_information
+from mitsuba_crb.camera import Intrinsics
+from mitsuba_crb.datasets.splats import Splats
 from mitsuba_crb.errors import NoiseError, OptionError, PixelsError, PointsError, SensorError
 from mitsuba_crb.estimate.tracks import feature_tracks, see_points
 from mitsuba_crb.noise import CoupledNoise, Gaussian
+from mitsuba_crb.radiance.gaussians import Gaussians
 from mitsuba_crb.render.pixels import render_pixels
 from mitsuba_crb.render.view import open_view
 
@@ -166,6 +169,58 @@ class TestSeveralViews:
         graph = bundle_adjustment(tracks.points, [tracks.view, other])
         assert [(g.free, g.common) for g in graph.gauges] == [(7, 6)]
         assert cramer_rao_bound(graph.relative("camera", "aside")).rank == 5
+
+
+@pytest.fixture(scope="module")
+def papered():
+    """A plane of splats, tilted, four pixels apart and as wide, and its tracks."""
+    rng = np.random.default_rng(0)
+    across, down = np.meshgrid(np.linspace(-3.0, 3.0, 56), np.linspace(-2.4, 2.4, 45))
+    means = np.stack([across, down, 3.0 + 0.2 * across], axis=-1).reshape(-1, 3)
+    n = len(means)
+    field = Gaussians(
+        Splats(
+            means,
+            np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+            np.tile([0.08, 0.08, 0.001], (n, 1)),
+            np.full(n, 0.95),
+            rng.uniform(-1.0, 1.0, (n, 1, 3)),
+        )
+    )
+    options = {"camera": Intrinsics((96, 72), (90.0, 90.0), (48.0, 36.0)), "pose": np.eye(4)}
+    return field, options, feature_tracks(field, SIGMA, **options)
+
+
+class TestFields:
+    def test_points_lie_on_the_plane_that_the_splats_make(self, papered):
+        """Expected depth is a mean over splats up to half a splat away, who lie 0.2 times that nearer."""
+        _, _, tracks = papered
+        assert len(tracks.points) >= 15
+        plane = 3.0 + 0.2 * tracks.points[:, 0]
+        np.testing.assert_allclose(tracks.points[:, 2], plane, rtol=0.006)
+        np.testing.assert_allclose(tracks.view.camera.project(tracks.points), tracks.corners, atol=1e-6)
+
+    def test_they_tell_about_what_their_windows_tell(self, papered):
+        """A corner's noise is that of the field's own columns; twice as sharp corners tell too much."""
+        field, options, tracks = papered
+        windows = fisher_information(pose_jacobian(field, pixels=tracks.windows, **options), SIGMA)
+        shares = eigvalsh(tracks.information.matrix, windows.matrix)
+        assert shares[0] > 0.9
+        assert shares[-1] < 1.1
+        sharp = dataclasses.replace(tracks.view, noise=tracks.view.noise / 4.0)
+        assert eigvalsh(point_information(tracks.points, sharp).matrix, windows.matrix)[0] > 1.3
+
+    def test_another_view_sees_them(self, papered):
+        field, options, tracks = papered
+        pose = se3.exp([-0.3, 0.05, 0.0, 0.0, 0.1, 0.0])
+        view = see_points(tracks.points, field, SIGMA, **options | {"pose": pose})
+        assert len(view.seen) > len(tracks.points) // 2
+
+    def test_nothing_opaque_has_no_corners(self, papered):
+        field, options, _ = papered
+        thin = Gaussians(dataclasses.replace(field.splats, opacities=field.splats.opacities / 20.0))
+        with pytest.raises(PointsError, match="found 0 corners"):
+            feature_tracks(thin, SIGMA, **options)
 
 
 class TestBadInput:
