@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from ..camera import Camera, Intrinsics
 from ..datasets.photographs import Capture, Photograph
 from ..errors import CameraError, CaptureError
-from ..se3 import Array
 from .field import Viewpoint
 from .scene_space import SceneSpace
 
@@ -174,8 +173,8 @@ def _check_memory(pixels: int) -> None:
         )
 
 
-def pool_and_space(capture: Capture, size: tuple[int, int] | None) -> tuple[Pool, Pool | None, SceneSpace]:
-    """What a capture's scene may be trained on, what is held out (None if nothing is), and its space.
+def pools(capture: Capture, size: tuple[int, int] | None) -> tuple[Pool, Pool | None]:
+    """What a capture's scene may be trained on, and what is held out; None if nothing is.
 
     Raises:
         CaptureError: there is nothing to train on.
@@ -190,18 +189,4 @@ def pool_and_space(capture: Capture, size: tuple[int, int] | None) -> tuple[Pool
     if not len(train.usable):
         raise CaptureError("masks hide all pixels of the photographs to train on; see to the masks")
     held = Pool.of([capture.photographs[k] for k in capture.test], space, size) if capture.test else None
-    return train, held, space
-
-
-def seen_by(viewpoints: Sequence[Viewpoint], points: Array) -> NDArray[np.int64]:
-    """(n,) how many of the cameras have points (n, 3) within their image."""
-    found = np.zeros(len(points), dtype=np.int64)
-    for viewpoint in viewpoints:
-        width, height = viewpoint.intrinsics.size
-        local = (points - viewpoint.pose[:3, 3]) @ viewpoint.pose[:3, :3]
-        ahead = local[:, 2] > 0.0
-        film = Camera.of(viewpoint.intrinsics).plain.project(local[ahead])
-        slack = 0.05 * max(width, height)
-        inside = ((film > -slack) & (film < np.array([width, height]) + slack)).all(axis=1)
-        found[ahead] += inside
-    return found
+    return train, held

@@ -24,13 +24,13 @@ from ..files import changes
 from ..render.arrays import upload
 from ..render.backend import use_mitsuba
 from .descent import Moments, descend
-from .field_file import Standing, load_standing, save_field
+from .exploration import Exploration
+from .field_file import Arrays, Standing, load_standing, save_field
 from .hashgrid import HashGrid, matter_of
 from .march import Matter
-from .network import Design, Network, density, new_weights
-from .occupancy import Cells, everywhere
-from .photograph_rays import Pool, pool_and_space, seen_by
-from .scene_space import SceneSpace, expanded, stretch
+from .network import Design, Network, new_weights
+from .occupancy import Cells
+from .photograph_rays import Pool, pools
 
 Floats = NDArray[np.float64]
 
@@ -43,16 +43,12 @@ _FALL = 0.03
 _WARM = 200
 """Steps before anything is taken to be empty, of fewer places each."""
 _WARM_SHARE = 0.25
-_EVERY = 16
-"""Steps between looks at the occupancy, each at one vertex of `_PARTS`."""
-_PARTS = 8
-_DECAY = 0.7
-"""Of density seen earlier, from look to look."""
-_THIN = 0.05
-"""Optical thickness of a cell that is taken to be empty."""
+_EVERY = 32
+"""Steps between looks at the occupancy."""
 _SLOTS = 2**22
 """Most places of a step, kept or not."""
 _CHECKPOINT_S = 30.0
+_MOMENTS = ("first", "second")
 _TRACKED = 16384
 """Pixels of held-out photographs that are looked at while training goes on."""
 
@@ -130,18 +126,17 @@ def train_field(
     if steps is not None and steps < 1:
         raise OptionError(f"training takes at least one step, not {steps}")
     use_mitsuba()
-    path = Path(out)
-    train, held, space = pool_and_space(capture, size)
-    run = _Run(path, train, held, design or Design(), seed)
+    train, held = pools(capture, size)
+    design = design or Design()
     settings = {
         "photographs": len(capture),
         "capture": train.digest,
         "held out": held.digest if held is not None else "nothing",
         "size": "{}x{}".format(*train.viewpoints[0].intrinsics.size),
         "seed": seed,
-        "design": asdict(run.design),
+        "design": asdict(design),
     }
-    run.begin(settings, space)
+    run = _Run(Path(out), train, held, settings, design, seed)
     run.go_on(60.0 * minutes if steps is None else np.inf, steps, on_progress)
     return run.result()
 
@@ -149,45 +144,49 @@ def train_field(
 class _Run:
     """A field while it is trained."""
 
-    def __init__(self, path: Path, train: Pool, held: Pool | None, design: Design, seed: int) -> None:
-        self.path, self.train, self.held, self.design, self.seed = path, train, held, design, seed
-
-    def begin(self, settings: dict[str, Any], space: SceneSpace) -> None:
+    def __init__(
+        self,
+        path: Path,
+        train: Pool,
+        held: Pool | None,
+        settings: dict[str, Any],
+        design: Design,
+        seed: int,
+    ) -> None:
         """Where an earlier run has stopped, or anew."""
         import mitsuba as mi
 
-        self.settings, self.space = settings, space
+        self.path, self.train, self.held, self.settings = path, train, held, settings
+        self.design, self.seed = design, seed
         self.step, self.rays, self.seconds, self.cpu, self.curve = 0, 256, 0.0, 0.0, []
-        n = self.design.cells + 1
-        self.visible = everywhere(self.design.cells) & self._seen()
+        self.explored = Exploration(self.design.cells, train.space, train.viewpoints)
         self.encoding = self.design.encoding(self.seed)
-        if os.path.lexists(self.path):
-            earlier, standing = load_standing(self.path)
+        weights, self.vertices = new_weights(self.design, self.seed), self.explored.seen
+        arrays: Arrays = {}
+        if os.path.lexists(path):
+            earlier, standing = load_standing(path)
             changed = changes(standing.settings, settings)
             if changed:
                 raise FieldError(
-                    f"{self.path} holds a field trained with {', '.join(changed)}; name another file, or "
-                    "give the same capture and settings to go on"
+                    f"{path} holds a field trained with {', '.join(changed)}; name another file, or give the "
+                    "same capture and settings to go on"
                 )
             progress, arrays = standing.progress, standing.arrays
             self.step, self.rays = int(progress["step"]), int(progress["rays"])
             self.seconds, self.cpu = float(progress["seconds"]), float(progress["cpu"])
             self.curve = [tuple(row) for row in progress["curve"]]
             self.encoding.set_params(upload(mi.Float, earlier.entries))
-            self.network = Network(self.encoding, earlier.weights)
-            self.vertices, self.thickness = earlier.vertices, arrays["thickness"]
-            self.moments = {
-                name: Moments(*(upload(mi.Float, arrays[f"{name}_{k}"]) for k in ("first", "second")))
-                for name in _RATES
-            }
-        else:
-            self.network = Network(self.encoding, new_weights(self.design, self.seed))
-            self.vertices = self.visible
-            self.thickness = np.zeros((n, n, n), dtype=np.float32)
-            self.moments = {
-                "entries": Moments.zero(self.encoding.n_params),
-                "weights": Moments.zero(dr.width(self.network.packed)),
-            }
+            weights, self.vertices = earlier.weights, earlier.vertices
+            self.explored.recall(earlier.vertices)
+        self.network = Network(self.encoding, weights)
+        self.moments = {
+            "entries": Moments.zero(self.encoding.n_params),
+            "weights": Moments.zero(dr.width(self.network.packed)),
+        }
+        if arrays:
+            self.explored.thickness = arrays["thickness"]
+            for name, moments in self.moments.items():
+                moments.first, moments.second = (upload(mi.Float, arrays[f"{name}_{k}"]) for k in _MOMENTS)
 
     def go_on(
         self, seconds: float, steps: int | None, on_progress: Callable[[Progress], None] | None
@@ -199,10 +198,8 @@ class _Run:
         fraction = self._fraction(seconds, steps)
         while fraction < 1.0:
             rng = np.random.default_rng((self.seed, 2, self.step))
-            if self.step == _WARM or (self.step > _WARM and self.step % _EVERY == 0):
-                for part in range(_PARTS) if self.step == _WARM else (self.step // _EVERY % _PARTS,):
-                    self._look_for_matter(rng, part)
-                self._empty()
+            if self.step >= _WARM and (self.step - _WARM) % _EVERY == 0:
+                self.vertices = self.explored.look(self.network, rng)
                 matter = self._matter()
             errors.append(self._descend(matter, rng, fraction))
             self.step += 1
@@ -212,7 +209,7 @@ class _Run:
             if now - written > _CHECKPOINT_S or fraction >= 1.0:
                 psnr = self._tracked()
                 self.curve.append((self.step, round(self.seconds, 1), round(self.cpu, 1), round(psnr, 3)))
-                self._write()
+                self._write(finished=fraction >= 1.0)
                 written = time.monotonic()
             if on_progress is not None:
                 recent = _psnr(float(np.mean(errors[-50:])))
@@ -249,50 +246,13 @@ class _Run:
         self.rays = int(np.clip(self.rays, 64, 65536))
         return outcome.error
 
-    def _seen(self) -> NDArray[np.bool_]:
-        """Vertices that a camera sees, on a grid four times as coarse, and their neighbours."""
-        n = self.design.cells
-        coarse = np.linspace(0.0, 1.0, n // 4 + 1)
-        z, y, x = np.meshgrid(coarse, coarse, coarse, indexing="ij")
-        u = np.stack([x, y, z], axis=-1)
-        points = expanded(u) * self.space.scale + np.asarray(self.space.centre)
-        seen = (seen_by(self.train.viewpoints, points.reshape(-1, 3)) > 0).reshape(z.shape)
-        near = np.minimum(np.round(np.arange(n + 1) / 4).astype(int), n // 4)
-        padded = np.pad(seen, 1)
-        m = len(coarse)
-        wide = np.zeros_like(seen)
-        for k in range(27):
-            a, b, c = k % 3, k // 3 % 3, k // 9
-            wide |= padded[a : a + m, b : b + m, c : c + m]
-        return wide[np.ix_(near, near, near)]
-
-    def _look_for_matter(self, rng: np.random.Generator, part: int) -> None:
-        """Evaluate density around some of the vertices."""
-        import mitsuba as mi
-
-        n = self.design.cells
-        index = np.arange(part, (n + 1) ** 3, _PARTS)
-        z, y, x = np.unravel_index(index, self.thickness.shape)
-        u = (np.stack([x, y, z], axis=1) + rng.uniform(-1.0, 1.0, (len(index), 3))) / n
-        u = np.clip(u, 0.0, 1.0)
-        outputs, _ = self.network.outputs(mi.Vector3f(*(upload(mi.Float, u[:, k]) for k in range(3))))
-        width = 4.0 / n * stretch(expanded(u))
-        found = np.array(density(outputs[0])) * width
-        flat = self.thickness.reshape(-1)
-        flat[index] = np.maximum(_DECAY * flat[index], found)
-
-    def _empty(self) -> None:
-        """Take to be empty what was thin wherever looked."""
-        limit = min(_THIN, float(self.thickness[self.visible].mean()))
-        self.vertices = self.visible & (self.thickness > limit)
-
     def _field(self) -> HashGrid:
         pools = [self.train] + ([self.held] if self.held else [])
         viewpoints = [viewpoint for pool in pools for viewpoint in pool.viewpoints]
         return HashGrid(
             str(self.path),
             self.design,
-            self.space,
+            self.train.space,
             np.array(self.encoding.data),
             self.network.weights(),
             self.vertices,
@@ -309,12 +269,11 @@ class _Run:
         errors = [error for _, error in _held_out(self._field(), self.held, stride)]
         return _psnr(float(np.concatenate(errors).mean()))
 
-    def _write(self) -> None:
-        arrays = {
-            f"{name}_{which}": np.array(getattr(moments, which))
-            for name, moments in self.moments.items()
-            for which in ("first", "second")
-        }
+    def _write(self, *, finished: bool) -> None:
+        """Keep all of it; what only training needs, three quarters, no longer than until it is finished."""
+        arrays = {} if finished else {"thickness": self.explored.thickness}
+        for name, moments in () if finished else self.moments.items():
+            arrays |= {f"{name}_{which}": np.array(getattr(moments, which)) for which in _MOMENTS}
         progress = {
             "step": self.step,
             "rays": self.rays,
@@ -322,8 +281,7 @@ class _Run:
             "cpu": self.cpu,
             "curve": [list(row) for row in self.curve],
         }
-        standing = Standing(self.settings, progress, arrays | {"thickness": self.thickness})
-        save_field(self.path, self._field(), standing)
+        save_field(self.path, self._field(), Standing(self.settings, progress, arrays))
 
 
 def _held_out(found: HashGrid, pool: Pool, stride: int = 1) -> Iterator[tuple[str, Floats]]:

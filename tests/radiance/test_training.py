@@ -63,7 +63,7 @@ def test_it_learns_and_its_file_holds_all_of_it(capture: Capture, tmp_path: Path
     result = trained(capture, tmp_path / "field.npz", 80, on_progress=seen.append)
     assert len(seen) == 80
     assert seen[-1].fraction == 1.0
-    assert seen[-1].train_psnr > seen[0].train_psnr + 1.0  # of the last 50 steps' mean error
+    assert seen[-1].train_psnr > seen[0].train_psnr + 0.7  # of the last 50 steps' mean error
     assert [name for name, _ in result.held_out] == [capture.photographs[k].name for k in capture.test]
     assert is_field(tmp_path / "field.npz")
     again = load_field(tmp_path / "field.npz")
