@@ -69,8 +69,11 @@ def check_target(path: Path, option: str, inputs: Sequence[Path] = (), *, resume
 def _held(path: Path) -> str:
     """What a run can be resumed from, in words; empty if it is something else."""
     from ..estimate.trial_record import SCHEMA as TRIALS  # late: it imports what measures
+    from ..radiance.field_file import is_field
     from .pose_files import BEGINNINGS
 
+    if is_field(path):
+        return "a trained field"
     with path.open("rb") as file:
         start = file.read(100)
     if TRIALS.rpartition("/")[0].encode() in start:

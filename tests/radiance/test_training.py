@@ -16,7 +16,8 @@ from mitsuba_crb import load_capture
 from mitsuba_crb.camera import Camera
 from mitsuba_crb.cli import app as cli
 from mitsuba_crb.datasets.photographs import Capture
-from mitsuba_crb.errors import CameraError, CaptureError, FieldError, OptionError
+from mitsuba_crb.errors import CameraError, CaptureError, FieldError, OptionError, OutputError
+from mitsuba_crb.export.targets import check_target
 from mitsuba_crb.radiance import training
 from mitsuba_crb.radiance.field_file import is_field, load_field
 from mitsuba_crb.radiance.network import Design
@@ -178,6 +179,11 @@ class TestRefusals:
                 read()
             assert "\n" not in str(caught.value)
         assert out.read_bytes() == before
+
+    def test_no_other_output_takes_its_place(self, field: Path) -> None:
+        with pytest.raises(OutputError, match="a trained field that would be lost"):
+            check_target(field, "--json")
+        check_target(field, "--out", resumes=True)
 
     def test_impossible_lengths(self, capture: Capture, tmp_path: Path) -> None:
         with pytest.raises(OptionError, match="minutes"):
