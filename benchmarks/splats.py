@@ -8,9 +8,9 @@
     python benchmarks/splats.py --only maps      # what not knowing colours or opacities costs
 
 Needs ../shared/data/gaussians. Times are medians of warm calls that take turns, each from a pose of its own:
-projection, sorting and blending, to NumPy arrays. `cuts` uses the slow twin of tests/radiance with INRIA's
-cuts (opacity below 1/255, 3 σ, transmittance below 1e-4) on a crop of each real splat; differences are
-central ones of 0.02 pixels, at the order of depth of the middle pose or sorted anew.
+projection, sorting and blending, to NumPy arrays. `cuts` has INRIA's and gsplat's threshold (opacity below
+1/255, transmittance below 1e-4), and a cut at 3 σ; differences are central ones of 0.02 pixels, at the order
+of depth of the middle pose or sorted anew.
 """
 
 from __future__ import annotations
@@ -19,9 +19,11 @@ import argparse
 import statistics
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -30,8 +32,7 @@ from rich.table import Table
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests" / "radiance"))
 
-from ewa_twin import INRIA, picture  # noqa: E402  the twin lives with the tests
-from splat_views import (  # noqa: E402
+from splat_views import (  # noqa: E402  which live with the tests
     REAL,
     pixels_of,
     real_camera,
@@ -44,6 +45,7 @@ from splat_views import (  # noqa: E402
 from mitsuba_crb import se3  # noqa: E402
 from mitsuba_crb.camera import Camera  # noqa: E402
 from mitsuba_crb.datasets.splats import Splats  # noqa: E402
+from mitsuba_crb.radiance import splat_blending  # noqa: E402
 from mitsuba_crb.radiance.gaussians import Gaussians, load_gaussians  # noqa: E402
 from mitsuba_crb.radiance.map_nuisance import UNKNOWNS, map_cost, map_information  # noqa: E402
 
@@ -146,41 +148,66 @@ def information(J: np.ndarray) -> np.ndarray:
     return np.sum(J**2, axis=(0, 1))
 
 
+@contextmanager
+def cut(least: float, sigmas: float) -> Iterator[None]:
+    """Within, the kernel leaves out what rasterisers do; the library has no such option."""
+    import drjit as dr
+
+    laid, opaque = splat_blending._laid, splat_blending._OPAQUE
+
+    def cutting(drawing: Any, place: Any, film: Any) -> Any:
+        one = laid(drawing, place, film)
+        shown = (one.alpha >= least) & (dr.dot(one.d, one.w) <= sigmas**2)
+        kept = [dr.select(shown, value, 0.0) for value in (one.alpha, one.movable)]
+        return one._replace(alpha=kept[0], movable=kept[1])
+
+    splat_blending._laid, splat_blending._OPAQUE = cutting, 1e-4
+    try:
+        yield
+    finally:
+        splat_blending._laid, splat_blending._OPAQUE = laid, opaque
+
+
 def cuts() -> None:
     """The picture without cuts beside that with them, and F of both."""
-    rows, columns = np.indices((24, 24))
-    pixels = np.stack([columns, rows], axis=-1).reshape(-1, 2) + 52
+    camera = real_camera(256)
+    pixels = pixels_of(camera)
+    table = Table(
+        *("view", "cut", "PSNR [dB]", "F cut / F uncut", "analytic / differences: uncut", "cut"),
+        "re-sorting adds",
+        title="cuts, 256²",
+    )
     for name in REAL:
-        table = Table(
-            "view", "PSNR [dB]", "F cut / F uncut", "analytic / differences: uncut", "cut", "re-sorting adds"
-        )
-        for number, pose in enumerate(real_views(name)[:2]):
-            table.add_row(f"{name} {number}", *cut_row(real_splats(name, DATA), pose, pixels))
-        console.print(table)
+        field = Gaussians(real_splats(name, DATA))
+        for number, pose in enumerate(real_views(name)):
+            for what, how in (("opacity < 1/255", (1.0 / 255.0, np.inf)), ("beyond 3 σ", (0.0, 3.0))):
+                table.add_row(f"{name} {number}", what, *cut_row(field, camera, pose, pixels, how))
+    console.print(table)
 
 
-def cut_row(splats: Splats, pose: np.ndarray, pixels: np.ndarray) -> list[str]:
-    """Of one view, what `cuts` shows."""
-    camera, field = real_camera(128), Gaussians(splats)
-    values, columns = field.columns(camera, pose, pixels)
+def cut_row(
+    field: Gaussians, camera: Camera, pose: np.ndarray, pixels: np.ndarray, how: tuple[float, float]
+) -> list[str]:
+    """Of one view and one cut, what `cuts` shows."""
     depth = float(np.nanmedian(field.show(camera, pose, pixels).depth))
-    cut = picture(splats, camera, pose, pixels, cuts=INRIA)
-    error = np.mean((np.clip(values, 0.0, 1.0) - np.clip(cut.values, 0.0, 1.0)) ** 2)
 
-    def uncut(twist: np.ndarray, kept: np.ndarray | None = pose) -> np.ndarray:
+    def shown(twist: np.ndarray, kept: np.ndarray | None = pose) -> np.ndarray:
         return field.show(camera, pose @ se3.exp(twist), pixels, kept=kept).values
 
-    def with_cuts(twist: np.ndarray) -> np.ndarray:
-        moved = pose @ se3.exp(twist)
-        return picture(splats, camera, moved, pixels, kept=pose, cuts=INRIA, columns=False).values
-
-    frozen = central(uncut, camera, depth)
+    values, columns = field.columns(camera, pose, pixels)
+    frozen, sorted_anew = (
+        central(lambda twist, kept=kept: shown(twist, kept), camera, depth) for kept in (pose, None)
+    )
+    with cut(*how):
+        cut_values, cut_columns = field.columns(camera, pose, pixels)
+        jumping = central(shown, camera, depth)
+    error = np.mean((np.clip(values, 0.0, 1.0) - np.clip(cut_values, 0.0, 1.0)) ** 2)
     return [
         f"{-10.0 * np.log10(error):.1f}",
-        between(information(cut.columns) / information(columns)),
+        between(information(cut_columns) / information(columns)),
         between(information(columns) / frozen),
-        between(information(cut.columns) / central(with_cuts, camera, depth)),
-        between(central(lambda twist: uncut(twist, None), camera, depth) / frozen - 1.0),
+        between(information(cut_columns) / jumping),
+        between(sorted_anew / frozen - 1.0),
     ]
 
 
