@@ -16,6 +16,8 @@ from .field import Field
 
 _LETTERS = 16
 
+TRAINED = ".npz"
+"""The ending of a trained field's file."""
 SPLAT_OPTIONS = ("variant", "background")
 """What may be said of a file of splats: classic, antialiased or mip; a grey, or red, green and blue."""
 
@@ -32,7 +34,9 @@ def as_field(world: Any) -> Field | None:
     if not isinstance(source, SceneFile):
         return None
     file = Path(source.path)
-    return _splats(file, source.defines) if is_splats(file) else None
+    if is_splats(file):
+        return _splats(file, source.defines)
+    return _trained(file, source.defines) if file.suffix.lower() == TRAINED else None
 
 
 def field_fingerprint(field: Field, source: Any = None, defines: Mapping[str, str] | None = None) -> str:
@@ -60,10 +64,17 @@ def _splats(file: Path, said: Mapping[str, str]) -> Field:
     return load_gaussians(file, **options)
 
 
+def _trained(file: Path, said: Mapping[str, str]) -> Field:
+    from .field_file import load_field
+
+    _check(file, "trained fields", said, ())
+    return load_field(file)
+
+
 def _check(file: Path, kind: str, said: Mapping[str, str], known: Sequence[str]) -> None:
     unknown = sorted(set(said) - set(known))
     if unknown:
-        raise FieldError(f"{file} has no {', '.join(unknown)}; {kind} have {', '.join(known)}")
+        raise FieldError(f"{file} has no {', '.join(unknown)}; {kind} have {', '.join(known) or 'none'}")
 
 
 def _colour(text: str) -> float | list[float]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from small_grid import write_grid
 from small_splats import FOCAL, SIZE, write_splats
 
 from mitsuba_crb import Intrinsics, check_jacobian, pose_bound, se3
@@ -253,6 +254,28 @@ def test_what_splats_have_not_is_refused_in_a_line(
     assert out == ""
     assert len(err.strip().splitlines()) == 1
     assert words in err
+
+
+def test_a_trained_field_is_taken_with_its_cameras(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    grid, out = write_grid(tmp_path), tmp_path / "a.json"
+    assert cli.run(["bound", str(grid), "--sensor", "view1", "--sigma", "0.01", "--json", str(out)]) == 0
+    document = json.loads(out.read_text())
+    assert (document["sensor"], document["method"], document["size"]) == ("view1", "exact", [16, 12])
+    assert document["field"]["kind"] == "hash grid"
+    assert document["rank"] == 6
+    capsys.readouterr()
+    assert cli.run(["bound", str(grid), "-D", "variant=mip"]) == 2
+    assert "trained fields have none" in capsys.readouterr().err
+    assert cli.run(["bound", str(tmp_path / "missing.npz")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_check_agrees_on_a_trained_field(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run(["check", str(write_grid(tmp_path))]) == 0
+    assert "exact and finite_difference agree" in _out(capsys)
 
 
 def test_a_mesh_in_ply_is_a_world_still(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
