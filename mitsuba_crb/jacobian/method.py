@@ -155,6 +155,8 @@ class Stepping(NamedTuple):
     """The power of the step that the bias goes by."""
     misfit: float
     """‖J_h − J‖² / ‖J‖² of the sharpest thing that may be seen."""
+    scatter: float = 0.0
+    """Relative standard error of the information by what a step does in one pixel and not in the next."""
 
 
 class Reference(Method, Protocol):

@@ -205,7 +205,7 @@ def _checked(scene: Any, methods: Sequence[str], options: MeasurementKeywords) -
     given = MeasurementOptions(**options)
     with open_measurable(scene, given) as view:
         reference, deterministic, measured = view.reference, view.deterministic, view.measured
-        step, order, misfit = reference.stepping(view)
+        step, order, misfit, scatter = reference.stepping(view)
         off = math.sqrt(misfit)
         # Translation steps have a longest, which takes both to the same bias.
         doubled = steps_of(view, 2.0 * step) > 1.9 * steps_of(view, step)
@@ -229,7 +229,7 @@ def _checked(scene: Any, methods: Sequence[str], options: MeasurementKeywords) -
         own = jacobian(method, 2 + index)
         steps = _Steps.of(fine.at(own.pixels), coarse.at(own.pixels), order, doubled, noise)
         ours = fisher_information(own.at(fine.pixels).at(coarse.pixels), noise)
-        rows.append(_compare(method, ours, steps, fisher_information(own - fine, noise), off))
+        rows.append(_compare(method, ours, steps, fisher_information(own - fine, noise), off, scatter))
     known = [row.detectable[~np.isnan(row.detectable)] for row in rows]
     needed = max(row.paths for row in rows)
     more_would_tell = 1.0 < needed < np.inf and not deterministic
@@ -321,7 +321,12 @@ class _Steps:
 
 
 def _compare(
-    method: str, own: FisherInformation, steps: _Steps, difference: FisherInformation, off: float
+    method: str,
+    own: FisherInformation,
+    steps: _Steps,
+    difference: FisherInformation,
+    off: float,
+    scatter: float,
 ) -> MethodCheck:
     f, f_fd, f_d = np.diag(own.matrix), steps.information, np.diag(difference.matrix)
     e, e_fd, e_d = np.diag(own.standard_error), steps.error, np.diag(difference.standard_error)
@@ -337,7 +342,7 @@ def _compare(
     unknown = ~seen & (claimed | (_SIGMAS * e_fd > AGREEMENT * largest))
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(seen, f / f_fd, np.nan)
-        ratio_error = np.where(seen, np.hypot(e, ratio * e_fd) / f_fd, np.nan)
+        ratio_error = np.where(seen, np.hypot(np.hypot(e, ratio * e_fd) / f_fd, scatter), np.nan)
         relative = np.where(seen, np.sqrt(np.maximum(f_d, 0.0) / f_fd), np.nan)
         hidden = np.sqrt(np.maximum(f_d, e_d) / f_fd)
         relative_error = np.where(seen, 0.5 * e_d / f_fd / hidden, np.nan)

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
@@ -26,11 +27,23 @@ from numpy.typing import NDArray
 from .. import se3
 from ..jacobian.finite_difference import steps_of
 from ..jacobian.method import AtOnce, Estimates, Method, Paths, Reference, Seen, Stepping
+from ..render.rays import coarse_grid
 from .field import ORDERS, Field, Floats, Pixels
 
 STEP_PIXELS = 0.05
-"""Image motion of a difference's step [pixel]: of a splat that is as narrow as rasterisers let it be, 0.55
-pixels, it hides 0.3 % of the information."""
+"""Image motion of a difference's longest step [pixel]: of a splat that is as narrow as rasterisers let it be,
+0.55 pixels, it hides 0.3 % of the information."""
+
+_SHORTER = 4.0
+"""From one step to the next that is tried."""
+_TRIED = 3
+"""Steps that are tried; the shortest is 1 / 320 of a pixel, where rounding is a percent."""
+_KINKED = 1e-4
+"""Misfit of the best step above which kinks decide."""
+_GRID = 16
+"""Pixels across and down on which they are."""
+_LITTLE = 0.01
+"""Of the largest column, scaled to motions of the image, what a smaller one tells of steps is nothing."""
 
 
 class FieldSeen(Seen, Protocol):
@@ -108,8 +121,20 @@ class FieldDifference:
 
     @classmethod
     def stepping(cls, view: FieldSeen) -> Stepping:
-        """See `Reference.stepping`."""
-        return Stepping(STEP_PIXELS, 2, 0.0)
+        """That of those tried which the next shorter one agrees with best; see `Reference.stepping`.
+
+        A field that is looked at through points has details finer than a pixel, and kinks: there the step is
+        shorter than where pixels are smooth, until rounding is worse, and the bias goes as the share of
+        pixels in which a kink is crossed, which is in proportion to the step.
+        """
+        pixels = coarse_grid(view.camera.size, _GRID).reshape(-1, 2)
+        share = len(pixels) / np.prod(view.camera.size)
+        lengths = [STEP_PIXELS / _SHORTER**k for k in range(_TRIED + 1)]
+        columns = [cls(view, length).moved(pixels) for length in lengths]
+        found = [_apart(longer, shorter, share) for longer, shorter in pairwise(columns)]
+        best = int(np.argmin([misfit for misfit, _ in found]))
+        misfit, scatter = found[best]
+        return Stepping(lengths[best], 1 if misfit > _KINKED else 2, misfit, scatter)
 
     @classmethod
     def limits(cls, view: FieldSeen) -> tuple[str, ...]:
@@ -119,6 +144,14 @@ class FieldDifference:
     def prepare(self, pixels: Pixels, paths: Paths) -> AtOnce:
         """See `Method.prepare`."""
         return AtOnce(lambda: self._all(pixels, paths.batches))
+
+    def moved(self, pixels: Pixels) -> Floats:
+        """(n, 3, 6) the columns times the steps, per pixel of motion, in the first order of summation."""
+        sides = [
+            [self._shown(pixels, self.view.pose @ se3.exp(signed * axis), 1)[0] for signed in (step, -step)]
+            for axis, step in zip(np.eye(6), steps_of(self.view, self.step_pixels), strict=True)
+        ]
+        return np.stack([plus - minus for plus, minus in sides], axis=-1) / (2.0 * self.step_pixels)
 
     def _all(self, pixels: Pixels, batches: int) -> Estimates:
         """Six columns and the image of both orders.
@@ -141,13 +174,33 @@ class FieldDifference:
         images = as_batches(here, batches)
         return Estimates(as_batches(columns, batches), images, here.mean(axis=0), step_bias=bias)
 
-    def _shown(self, pixels: Pixels, pose: Floats) -> Floats:
-        """(2, n, 3) the image in both orders of summation, with the view's own discrete choices."""
+    def _shown(self, pixels: Pixels, pose: Floats, orders: int = ORDERS) -> Floats:
+        """(orders, n, 3) the image in orders of summation, with the view's own discrete choices."""
         view = self.view
         shown = [
-            view.field.show(view.camera, pose, pixels, order=order, kept=view.pose) for order in range(ORDERS)
+            view.field.show(view.camera, pose, pixels, order=order, kept=view.pose) for order in range(orders)
         ]
         return np.stack([each.values for each in shown])
+
+
+def _apart(columns: Floats, others: Floats, share: float) -> tuple[float, float]:
+    """How far one step's columns (n, 3, 6) are from another's, of the worst column; see `Stepping`.
+
+    Args:
+        columns: of the step in question.
+        others: of a better one.
+        share: of the image's pixels.
+
+    Returns:
+        The misfit, and the scatter over all pixels, with what it makes of squares.
+    """
+    square = np.sum(columns**2, axis=(0, 1))
+    told = square > _LITTLE**2 * square.max()
+    apart = (columns - others)[..., told]
+    misfit = np.sum(apart**2, axis=(0, 1)) / square[told]
+    products = np.sum(columns[..., told] * apart, axis=1)
+    scatter = 2.0 * np.sqrt(share * np.sum(products**2, axis=0)) / square[told]
+    return float(misfit.max(initial=0.0)), float(np.hypot(scatter, misfit).max(initial=0.0))
 
 
 FIELD_METHODS: dict[str, type[Method]] = {method.name: method for method in (Exact, FieldDifference)}

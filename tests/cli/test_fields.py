@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -77,11 +78,16 @@ def test_what_is_said_of_a_file_counts(splats: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("write", [write_splats, write_grid])
 def test_check_agrees_and_finds_wrong_columns(
-    splats: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    write: Callable[[Path], Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The control: columns that are too large by a tenth."""
-    assert cli.run(["check", str(splats)]) == 0
+    file = write(tmp_path)
+    assert cli.run(["check", str(file)]) == 0
     assert "exact and finite_difference agree" in _out(capsys)
 
     class Wrong(Exact):
@@ -90,9 +96,9 @@ def test_check_agrees_and_finds_wrong_columns(
             return found._replace(columns=1.1 * found.columns)
 
     monkeypatch.setitem(FIELD_METHODS, "exact", Wrong)
-    assert cli.run(["check", str(splats)]) == 1
+    assert cli.run(["check", str(file)]) == 1
     assert "exact disagrees with finite_difference" in _out(capsys)
-    assert all(check_jacobian(splats).rows[0].disagrees)
+    assert all(check_jacobian(file).rows[0].disagrees)
 
 
 def test_validate_finds_the_errors_that_the_bound_says(
@@ -270,12 +276,6 @@ def test_a_trained_field_is_taken_with_its_cameras(
     assert "trained fields have none" in capsys.readouterr().err
     assert cli.run(["bound", str(tmp_path / "missing.npz")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
-
-
-@pytest.mark.slow
-def test_check_agrees_on_a_trained_field(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.run(["check", str(write_grid(tmp_path))]) == 0
-    assert "exact and finite_difference agree" in _out(capsys)
 
 
 def test_a_mesh_in_ply_is_a_world_still(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
