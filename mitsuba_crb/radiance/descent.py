@@ -62,18 +62,17 @@ def _marched(
     Y, _ = basis(d)
     while dr.hint(active, exclude=[matter, o, d, late, kept, room, first, Y], label="places to learn from"):
         k, active = next_place(matter, o, d, late, k, active)
-        if dr.hint(active, exclude=[matter, o, d, late, kept, room, first, Y]):
-            t = dr.gather(mi.Float, matter.places, k) * late
-            here = sample(matter, mi.Vector3f(o + t * d), t * matter.width, Y)
-            behind = through * dr.exp(-here.sigma * here.step)
-            w = through - behind
-            total += w * here.colour
-            for target, value in zip(kept, (t, behind, w, total.x, total.y, total.z), strict=True):
-                dr.scatter(target, value, first + count)
-            through = behind
-            count += 1
-            k += 1
-            active = (through > _DIM) & (count < room)
+        t = dr.gather(mi.Float, matter.places, k, active) * late
+        here = sample(matter, mi.Vector3f(o + t * d), t * matter.width, Y)
+        behind = through * dr.exp(-dr.select(active, here.sigma * here.step, 0.0))
+        w = through - behind
+        total += w * here.colour
+        for target, value in zip(kept, (t, behind, w, total.x, total.y, total.z), strict=True):
+            dr.scatter(target, value, first + count, active)
+        through = behind
+        count += dr.select(active, 1, 0)
+        k += 1
+        active &= (through > _DIM) & (count < room)
     return total, through, count
 
 

@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
@@ -94,6 +95,7 @@ class HashGrid:
         total, distance, through = look(
             self._matter(order), rays.origin, rays.ahead, rays.direction, self._behind(), order == 1
         )
+        dr.eval(total, distance, through)  # at once: each for itself would march again
         values, (far, clear) = download(total).T[: len(film)], download(mi.Vector2f(distance, through))
         opacity = 1.0 - clear[: len(film)]
         seen = opacity > _NOTHING
@@ -125,6 +127,7 @@ class HashGrid:
             self._behind(),
             order == 1,
         )
+        dr.eval(total, slopes)  # at once, as above
         values = download(total).T[:count]
         found = [np.concatenate([download(motion) / self.space.scale, download(by)]) for motion, by in slopes]
         return values, np.stack(found).transpose(2, 0, 1)[:count]
@@ -208,7 +211,6 @@ def matter_of(design: Design, network: Network, cells: Cells) -> Matter:
 
 
 def _opaque(value: float) -> Any:
-    import drjit as dr
     import mitsuba as mi
 
     return dr.opaque(mi.Float, float(value))

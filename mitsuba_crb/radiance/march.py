@@ -116,19 +116,17 @@ def look(
     Y, _ = basis(d)
     while dr.hint(active, exclude=[matter, o, far, d, background, turned, Y], label="places"):
         k, active = next_place(matter, o, d, mi.Float(1.0), k, active)
-        if dr.hint(active, exclude=[matter, o, far, d, background, turned, Y]):
-            t = dr.gather(mi.Float, matter.places, k)
-            z = place(o, far, d, t, turned)
-            here = sample(matter, z, t * matter.width, Y)
-            a = here.sigma * here.step
-            behind = transmitted(through, depth, a, turned)
-            w = through - behind
-            total += w * here.colour
-            distance += w * t
-            depth += a
-            through = behind
-            k += 1
-            active = through > DARK
+        t = dr.gather(mi.Float, matter.places, k, active)
+        here = sample(matter, place(o, far, d, t, turned), t * matter.width, Y)
+        a = dr.select(active, here.sigma * here.step, 0.0)
+        behind = transmitted(through, depth, a, turned)
+        w = through - behind
+        total += w * here.colour
+        distance += w * t
+        depth += a
+        through = behind
+        k += 1
+        active &= through > DARK
     return total + through * background, distance, through
 
 
@@ -174,33 +172,28 @@ def look_and_differentiate(
         label="places with derivatives",
     ):
         k, active = next_place(matter, o, d, mi.Float(1.0), k, active)
-        if dr.hint(
-            active,
-            exclude=[matter, o, far, d, seen, camera_from_world, background, turned, Y, slopes],
-        ):
-            t = dr.gather(mi.Float, matter.places, k)
-            z = place(o, far, d, t, turned)
-            here = sample(matter, z, t * matter.width, Y, slopes)
-            a = here.sigma * here.step
-            behind = transmitted(through, depth, a, turned)
-            w = through - behind
-            total += w * here.colour
-            da = here.step * (camera_from_world @ here.dsigma)
-            da_turn = dr.cross(t * seen, da)
-            dw = behind * da - w * moved
-            dw_turn = behind * da_turn - w * turning
-            for channel in range(3):
-                across, aside = here.dcolour[channel]
-                dc = camera_from_world @ across
-                dc_turn = dr.cross(seen, t * dc + camera_from_world @ aside)
-                by_motion[channel] += mi.Vector3f(here.colour[channel] * dw + w * dc)
-                by_turn[channel] += mi.Vector3f(here.colour[channel] * dw_turn + w * dc_turn)
-            moved += mi.Vector3f(da)
-            turning += mi.Vector3f(da_turn)
-            depth += a
-            through = behind
-            k += 1
-            active = through > DARK
+        t = dr.gather(mi.Float, matter.places, k, active)
+        here = sample(matter, place(o, far, d, t, turned), t * matter.width, Y, slopes)
+        a = dr.select(active, here.sigma * here.step, 0.0)
+        behind = transmitted(through, depth, a, turned)
+        w = through - behind
+        total += w * here.colour
+        da = dr.select(active, here.step, 0.0) * (camera_from_world @ here.dsigma)
+        da_turn = dr.cross(t * seen, da)
+        dw = behind * da - w * moved
+        dw_turn = behind * da_turn - w * turning
+        for channel in range(3):
+            across, aside = here.dcolour[channel]
+            dc = camera_from_world @ across
+            dc_turn = dr.cross(seen, t * dc + camera_from_world @ aside)
+            by_motion[channel] += mi.Vector3f(here.colour[channel] * dw + w * dc)
+            by_turn[channel] += mi.Vector3f(here.colour[channel] * dw_turn + w * dc_turn)
+        moved += mi.Vector3f(da)
+        turning += mi.Vector3f(da_turn)
+        depth += a
+        through = behind
+        k += 1
+        active &= through > DARK
     columns = [
         (
             by_motion[channel] - (through * background[channel]) * moved,

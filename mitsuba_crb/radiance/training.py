@@ -34,7 +34,7 @@ from .photograph_rays import Pool, pools
 
 Floats = NDArray[np.float64]
 
-SAMPLES = 2**18
+SAMPLES = 2**17
 """Places evaluated in a step, about."""
 _RATES = {"entries": 2e-2, "weights": 5e-3}
 """Of descent, at the beginning."""
@@ -42,14 +42,14 @@ _FALL = 0.03
 """What remains of them at the end."""
 _WARM = 200
 """Steps before anything is taken to be empty, of fewer places each."""
-_WARM_SHARE = 0.25
+_WARM_SHARE = 0.5
 _EVERY = 32
 """Steps between looks at the occupancy."""
 _SLOTS = 2**22
 """Most places of a step, kept or not."""
 _CHECKPOINT_S = 30.0
 _MOMENTS = ("first", "second")
-_TRACKED = 16384
+_TRACKED = 4096
 """Pixels of held-out photographs that are looked at while training goes on."""
 
 
