@@ -66,14 +66,14 @@ class Curves:
     def part(self, index: Ints, span: Floats | None = None) -> Curves:
         """Some of the curves, as often as listed, with new spans."""
         return Curves(
-            self.kind[index],
-            self.span[index] if span is None else span,
-            self.origin[index],
-            self.u[index],
-            self.v[index],
-            self.tag[index],
-            self.inward[index],
-            self.surface[index],
+            self.kind.take(index),
+            self.span.take(index, axis=0) if span is None else span,
+            self.origin.take(index, axis=0),
+            self.u.take(index, axis=0),
+            self.v.take(index, axis=0),
+            self.tag.take(index),
+            self.inward.take(index, axis=0),
+            self.surface.take(index),
         )
 
     @staticmethod
@@ -176,7 +176,8 @@ class Placed:
 
     def part(self, index: Ints) -> Placed:
         """Some of the points."""
-        return Placed(self.film[index], self.normal[index], self.seen[index], self.length[index])
+        arrays = (self.film, self.normal, self.seen, self.length)
+        return Placed(*(array.take(index, axis=0) for array in arrays))
 
 
 def place(
@@ -265,7 +266,7 @@ def bounds(curves: Curves, camera: Camera) -> tuple[Floats, Floats]:
         part = curves.part(np.flatnonzero(line))
         ends, _, exists = part.lines(a[line])
         points[line, ::2] = _in_front(ends, a[line], exists, camera)[1]
-        points[line, 1] = points[line, ::2].mean(axis=1)
+        points[line, 1] = 0.5 * (points[line, 0] + points[line, 2])
         points[line] = camera.distorted(points[line])
         part = curves.part(np.flatnonzero(~line))
         for j, t in enumerate((part.span[:, 0], part.span.mean(axis=1), part.span[:, 1])):
@@ -273,9 +274,11 @@ def bounds(curves: Curves, camera: Camera) -> tuple[Floats, Floats]:
             p[:, 2] = np.maximum(p[:, 2], camera.near)
             points[~line, j] = camera.project(p, a[~line])
         # A conic leaves its chords by about the sagitta that its middle shows.
-        bend = 2.0 * np.abs(points[:, 1] - points[:, ::2].mean(axis=1)) + 0.01
-        low, high = np.minimum(low, points.min(axis=1) - bend), np.maximum(high, points.max(axis=1) + bend)
-        length = np.maximum(length, np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1))
+        first, middle, last = (points[:, j] for j in range(3))
+        bend = 2.0 * np.abs(middle - 0.5 * (first + last)) + 0.01
+        low = np.minimum(low, np.minimum(np.minimum(first, middle), last) - bend)
+        high = np.maximum(high, np.maximum(np.maximum(first, middle), last) + bend)
+        length = np.maximum(length, _length(middle - first) + _length(last - middle))
     return np.concatenate([low, high], axis=1), length
 
 
@@ -310,7 +313,7 @@ def _clip(ends: Floats, box: Floats) -> tuple[Floats, Floats]:
 
 
 def _length(rows: Floats) -> Floats:
-    """(n,) of (n, 2): NumPy's sums along so short an axis take several times as long."""
+    """(n,) of (n, 2): NumPy's sums along so short an axis take ten times as long."""
     return np.asarray(np.sqrt(rows[:, 0] ** 2 + rows[:, 1] ** 2), dtype=np.float64)
 
 
@@ -318,13 +321,14 @@ def _cut_lines(lines: Curves, camera: Camera, frame: Floats) -> Curves:
     centre = np.zeros((len(lines), 3))
     whole, _, exists = lines.lines(centre)
     ends, film, exists = _in_front(whole, centre, exists, camera)
-    blur = camera.radius * np.abs(1.0 / camera.focus - 1.0 / ends[..., 2]).max(axis=1, initial=0.0)
+    defocus = np.abs(1.0 / camera.focus - 1.0 / ends[..., 2])
+    blur = camera.radius * np.maximum(defocus[:, 0], defocus[:, 1])
     margin = blur[:, None] / np.abs(camera.scale)
     frame = camera.plain_boxes(frame[None])[0]
     first, last = _clip(film, np.concatenate([frame[:2] - margin, frame[2:] + margin], axis=1))
     kept = np.flatnonzero(exists & (last > first))
     first, last, film, ends, whole = (x[kept] for x in (first, last, film, ends, whole))
-    count = np.ceil(np.linalg.norm(film[:, 1] - film[:, 0], axis=1) * (last - first) / _PIECE)
+    count = np.ceil(_length(film[:, 1] - film[:, 0]) * (last - first) / _PIECE)
     index, j, count = _pieces(np.maximum(count, 1.0).astype(np.int64))
     s = first[index, None] + (last - first)[index, None] * np.stack([j, j + 1], axis=1) / count[:, None]
     # Film fraction to fraction of the line in front, then of the whole line.

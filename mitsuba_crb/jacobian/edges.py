@@ -105,9 +105,10 @@ class EdgeTable:
         low = np.full(len(edges), 1, dtype=np.int8)
         high = np.full(len(edges), -1, dtype=np.int8)
         for has, half in self._around(edges):
-            face = self.half_face[half]
-            height = np.einsum("ij,ij->i", self.normals[face], self.points[face] - centre[has])
-            sign = np.where(height >= 0.0, self.half_sign[half], -self.half_sign[half])
+            face, sign = self.half_face.take(half), self.half_sign.take(half)
+            to_face = self.points.take(face, axis=0) - centre.take(has, axis=0)
+            height = np.einsum("ij,ij->i", self.normals.take(face, axis=0), to_face)
+            sign = np.where(height >= 0.0, sign, -sign)
             low[has], high[has] = np.minimum(low[has], sign), np.maximum(high[has], sign)
         return np.where(low == high, low, np.int8(0))
 

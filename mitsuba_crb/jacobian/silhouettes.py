@@ -259,7 +259,7 @@ def find_contours(view: View) -> Contours:
     camera_from_world[:3] = np.column_stack([rotation.T, -rotation.T @ centre])
     table, camera = edge_table(view.scene), view.camera
     edges = table.candidates(centre, rotation[:, 2], camera.radius)
-    ends = (table.ends[edges] - centre) @ rotation
+    ends = (table.ends.take(edges, axis=0) - centre) @ rotation
     curves = [Curves.of(EDGE, ends[:, 0], ends[:, 1] - ends[:, 0], tag=edges)]
     curves += smooth_curves(view.scene, camera_from_world)
     size, radius = np.array(view.size), view.pixel_filter.radius

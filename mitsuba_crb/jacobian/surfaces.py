@@ -40,12 +40,12 @@ _MOST = 1 << 22
 
 @dataclass(frozen=True, eq=False)
 class _Meshes:
-    """All meshes of a scene as one; equal where their bits are."""
+    """All meshes of a scene; equal where their bits are."""
 
-    vertices: NDArray[np.float32]
-    """(V, 3) world positions [scene unit]."""
-    faces: Ints
-    """(F, 3)"""
+    vertices: list[NDArray[np.float32]]
+    """(V, 3) of each, world positions [scene unit]."""
+    faces: list[NDArray[np.uint32]]
+    """(F, 3) of each, by its own vertices."""
     digest: bytes
 
     def __hash__(self) -> int:
@@ -97,7 +97,7 @@ def edge_table(scene: mi.Scene) -> EdgeTable:
     Raises:
         SceneError: a mesh whose faces refer to vertices that it does not have.
     """
-    vertices, faces, count = [np.empty((0, 3), np.float32)], [np.empty((0, 3), np.int64)], 0
+    vertices, faces = [], []
     digest = hashlib.blake2b()
     for surface in surfaces(scene):
         shape = surface.shape
@@ -112,15 +112,20 @@ def edge_table(scene: mi.Scene) -> EdgeTable:
             if surface.to_world is not None:
                 own = (own @ surface.to_world[:3, :3].T + surface.to_world[:3, 3]).astype(np.float32)
             vertices.append(own)
-            digest.update(own.tobytes() + b"|" + index.tobytes() + b"|")
-            faces.append(index.astype(np.int64) + count)
-            count += len(own)
-    return _edge_table(_Meshes(np.concatenate(vertices), np.concatenate(faces), digest.digest()))
+            faces.append(index)
+            for part in (own.data, b"|", index.data, b"|"):
+                digest.update(part)
+    return _edge_table(_Meshes(vertices, faces, digest.digest()))
 
 
 @functools.lru_cache(maxsize=2)
 def _edge_table(meshes: _Meshes) -> EdgeTable:
-    table = EdgeTable.of(meshes.vertices, meshes.faces)
+    starts = np.cumsum([0, *(len(own) for own in meshes.vertices)])
+    faces = [index.astype(np.int64) + start for index, start in zip(meshes.faces, starts, strict=False)]
+    table = EdgeTable.of(
+        np.concatenate([np.empty((0, 3), np.float32), *meshes.vertices]),
+        np.concatenate([np.empty((0, 3), np.int64), *faces]),
+    )
     for stored in vars(table).values():
         if isinstance(stored, np.ndarray):
             stored.flags.writeable = False
