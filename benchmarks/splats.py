@@ -80,7 +80,7 @@ def both(field: Gaussians, camera: Camera) -> list[Callable[[np.ndarray], object
 
 def cost() -> None:
     """Image and six columns beside the image alone."""
-    table = Table("splats", "pixels", "image [s]", "with columns [s]", "times", title="cost, warm")
+    table = Table("splats", "pixels", "image (s)", "with columns (s)", "times", title="cost, warm")
     for name in REAL:
         field = Gaussians(real_splats(name, DATA))
         for width in (256, 512):
@@ -116,7 +116,7 @@ def million() -> None:
     """Time against the number of splats and of pixels."""
     guitar, pose = real_splats("guitar", DATA), real_views("guitar")[0]
     table = Table(
-        "splats", "pixels", "image [s]", "with columns [s]", "listed pairs", title="a million, warm"
+        "splats", "pixels", "image (s)", "with columns (s)", "listed pairs", title="a million, warm"
     )
     found = []
     for count, width in [(125_000, 512), (250_000, 512), (500_000, 512), (1_000_000, 512)] + [
@@ -173,7 +173,7 @@ def cuts() -> None:
     camera = real_camera(256)
     pixels = pixels_of(camera)
     table = Table(
-        *("view", "cut", "PSNR [dB]", "F cut / F uncut", "analytic / differences: uncut", "cut"),
+        *("view", "cut", "PSNR (dB)", "F cut / F uncut", "analytic / differences: uncut", "cut"),
         "re-sorting adds",
         title="cuts, 256²",
     )
@@ -214,7 +214,7 @@ def cut_row(
 def rotation() -> None:
     """Rotation columns beside the filter term of the same picture, which holds for what turns rigidly."""
     table = Table(
-        "std on the film [pixel]", "F / filter term's", "worst column's difference", title="rotation"
+        "std on the film (pixel)", "F / filter term's", "worst column's difference", title="rotation"
     )
     camera, pose = Camera.pinhole(240.0, (128.0, 128.0), (256, 256)), np.eye(4)
     pixels = pixels_of(camera)
@@ -241,7 +241,7 @@ def maps() -> None:
             "std / std with the map known",
             "least eigenvalue by the diagonal",
         ),
-        *("rounds", "[s]"),
+        *("rounds", "(s)"),
         title="maps",
     )
     camera, weight = real_camera(96), 1.0 / 0.02**2
