@@ -42,6 +42,8 @@ _KINKED = 1e-4
 """Misfit of the best step above which kinks decide."""
 _GRID = 16
 """Pixels across and down on which they are."""
+_LEAST = 1e-3
+"""Of the information, the least scatter: no order of summation shows what is rounded before it is summed."""
 _LITTLE = 0.01
 """Of the largest column, scaled to motions of the image, what a smaller one tells of steps is nothing."""
 
@@ -134,7 +136,7 @@ class FieldDifference:
         found = [_apart(longer, shorter, share) for longer, shorter in pairwise(columns)]
         best = int(np.argmin([misfit for misfit, _ in found]))
         misfit, scatter = found[best]
-        return Stepping(lengths[best], 1 if misfit > _KINKED else 2, misfit, scatter)
+        return Stepping(lengths[best], 1 if misfit > _KINKED else 2, misfit, max(scatter, _LEAST))
 
     @classmethod
     def limits(cls, view: FieldSeen) -> tuple[str, ...]:
