@@ -10,8 +10,12 @@ import numpy as np
 SIZE, FOCAL = (32, 24), (30.0, 31.0)
 
 
-def write_splats(folder: Path, *, cameras: int = 2, seed: int = 0) -> Path:
-    """The file `splats.ply`, and `cameras.json` unless there shall be none."""
+def write_splats(folder: Path, *, cameras: int = 2, seed: int = 0, on_axis: bool = False) -> Path:
+    """The file `splats.ply`, and `cameras.json` unless there shall be none.
+
+    Args:
+        on_axis: all are round, and on the first camera's optical axis.
+    """
     rng = np.random.default_rng(seed)
     count = 30
     z = rng.uniform(2.0, 6.0, count)
@@ -24,6 +28,9 @@ def write_splats(folder: Path, *, cameras: int = 2, seed: int = 0) -> Path:
         **{f"scale_{k}": np.log(rng.uniform(0.05, 0.4, count)) for k in range(3)},
         **{f"rot_{k}": rng.standard_normal(count) for k in range(4)},
     }
+    if on_axis:
+        columns |= {name: np.zeros(count) for name in "xy"}
+        columns |= {f"scale_{k}": columns["scale_0"] for k in range(3)}
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
     lines += [f"property float {name}" for name in columns]
     header = "\n".join([*lines, "end_header", ""]).encode()

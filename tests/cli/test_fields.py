@@ -57,6 +57,14 @@ def test_a_bound_of_splats_is_that_of_their_columns(
     np.testing.assert_allclose(document["rotation_std_deg"], np.degrees(np.sqrt(np.diag(C)[3:])), rtol=1e-5)
 
 
+def test_round_splats_on_the_axis_do_not_see_a_roll(tmp_path: Path) -> None:
+    """Its column is what is left of terms that cancel, in float32; all else is seen."""
+    bound = pose_bound(write_splats(tmp_path, on_axis=True), Gaussian(0.01))
+    assert bound.rank == 5
+    assert np.isinf(bound.rotation_std_deg[2])
+    assert np.isfinite([*bound.position_std, *bound.rotation_std_deg[:2]]).all()
+
+
 def test_precision_and_paths_are_accepted_and_mean_nothing(
     splats: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
