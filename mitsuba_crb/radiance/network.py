@@ -1,7 +1,7 @@
 """The field itself: density and colour at a point, and their gradients, by a hash grid and a small network.
 
     (s, k) = W₂ relu(W₁ features(u) + b₁) + b₂       s: 1, k: 3 x 9
-    σ = window(u) exp(s − 1)                         density [1 / scale of the scene]
+    σ = window(u) exp(s − 3)                         density [1 / scale of the scene]
     c = sigmoid(Σ_j k_j Y_j(d))                      display-referred
 
 The network sees no direction: colours' harmonics do, so that all derivatives follow from three tangents in u.
@@ -28,7 +28,7 @@ Weights = dict[str, NDArray[np.float32]]
 COUNT = 9
 """Harmonics of the direction that a colour has, degrees 0 to 2."""
 OUTPUTS = 1 + 3 * COUNT
-_SHIFT = -1.0
+_SHIFT = -3.0
 """Of the logarithm of density: an untrained scene is a thin fog."""
 _HIGHEST = 11.0
 """Of that logarithm: denser is opaque within any step, and exp stays far from overflow."""
@@ -163,7 +163,7 @@ def _turned(weights: Weights) -> Weights:
 
 
 def density(s: mi.Float) -> mi.Float:
-    """exp(s − 1), before the window."""
+    """exp(s − 3), before the window."""
     return dr.exp(dr.minimum(s + _SHIFT, _HIGHEST))
 
 

@@ -189,4 +189,18 @@ def pools(capture: Capture, size: tuple[int, int] | None) -> tuple[Pool, Pool | 
     if not len(train.usable):
         raise CaptureError("masks hide all pixels of the photographs to train on; see to the masks")
     held = Pool.of([capture.photographs[k] for k in capture.test], space, size) if capture.test else None
+    if not train.opaque:
+        space = replace(space, scale=space.scale * _reach(train))
+        train, held = replace(train, space=space), held and replace(held, space=space)
     return train, held
+
+
+def _reach(pool: Pool) -> float:
+    """How far from the centre what is not transparent may be: rays that see something pass no farther."""
+    full = pool.usable[pool.values[pool.usable, 3] > 127]
+    reach = 0.0
+    for part in np.array_split(full, 1 + len(full) // 2**20):
+        rays = pool.rays(part)
+        across = np.cross(rays.origins, rays.directions)
+        reach = max(reach, float(np.linalg.norm(across, axis=1).max(initial=0.0)))
+    return 1.05 * min(reach, 1.0) or 1.0

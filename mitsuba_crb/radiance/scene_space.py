@@ -1,7 +1,7 @@
 """Where a field keeps its scene: all of space in a cube, what the cameras surround in its middle.
 
 A point x of the capture lies at z = (x − centre) / scale; the ball |z| ≤ 1 holds the cameras and what they
-look at. Beyond it, space is contracted,
+look at, or, where photographs are transparent but for one thing, that thing. Beyond, space is contracted,
 
     y = z                      |z| ≤ 1
     y = (2 − 1/|z|) z/|z|      beyond, so that infinity is the sphere |y| = 2
@@ -37,7 +37,7 @@ class SceneSpace:
     centre: tuple[float, float, float]
     """What the cameras look at [unit of the capture]."""
     scale: float
-    """Distance of the farthest camera from it [unit of the capture]."""
+    """Distance of the farthest camera from it, or radius of the only thing there is [unit of the capture]."""
 
     @staticmethod
     def around(poses: Array) -> SceneSpace:
