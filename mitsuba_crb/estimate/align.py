@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..bound.cramer_rao import PoseBound, joint_bound
 from ..bound.misspecified import MisspecifiedCovariance, misspecified_covariance
+from ..camera import Camera
 from ..errors import AlignmentError, NoiseError, PrecisionWarning
 from ..files import Record
 from ..information.image_information import as_noise_model
@@ -28,10 +29,10 @@ from ..noise.residuals import ResidualCovariance
 from ..radiance.field import Field
 from ..render.lending import in_turn
 from ..se3 import Array
-from .coarse_field import CoarseField
 from .misfit import Anchor, Misfit
 from .optimisers import DAMPING, SMALL_MOTION, Status, adam, least_squares
-from .reduction import pyramid
+from .reduction import pyramid, reduced
+from .searched_field import SearchedField, reduced_world
 
 ESTIMATORS = ("gauss_newton", "levenberg_marquardt", "adam")
 
@@ -138,7 +139,8 @@ def align(
             **options,
         )
         options, words, count = near.options, near.words, near.iterations
-    with measurement(loaded, **options) as run:
+    drafted = isinstance(loaded, Field) and anchor is None
+    with measurement(SearchedField(loaded) if drafted else loaded, **options) as run:
         if not run.view.measured.is_colour:
             raise AlignmentError(
                 f"the camera measures {run.view.measured.name} alone; an alignment needs rgb, of the film "
@@ -165,8 +167,14 @@ def align(
         if noise is None:
             misfit.differentiate(pose)
             misfit.assume(_noise_of_residuals(misfit, pose))
+        count += steps
         origin = "residuals" if noise is None else "given"
-        return _result(misfit, pose, status, count + steps, origin, residuals)
+        if not drafted:
+            return _result(misfit, pose, status, count, origin, residuals)
+    options["pose"] = pose
+    with measurement(loaded, **options) as run:
+        misfit = Misfit(run.only(description=words), measured, misfit.noise, None, Tone(tone))
+        return _result(misfit, pose, status, count, origin, residuals)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -213,8 +221,9 @@ def approach(
         # Chosen once, where the search starts: a reduced image is of the same pixels.
         found: MeasurementKeywords = {**options, "pixels": run.mask}
         words, view = run.selection.description, run.view
-    left = run.mask & np.asarray(np.isfinite(measured).all(axis=2))
-    for small, of_small in pyramid(np.where(left[..., None], measured, np.nan), model, levels):
+    left = run.mask[..., None] & np.isfinite(measured).all(axis=2, keepdims=True)
+    chosen = np.where(left, measured, np.nan)
+    for small, of_small in pyramid(chosen, model, levels):
         coarse: MeasurementKeywords = {
             **found,
             "size": (small.shape[1], small.shape[0]),
@@ -222,8 +231,11 @@ def approach(
         }
         world = loaded
         if isinstance(loaded, Field):
-            world = CoarseField(loaded, view.camera, left, round(len(measured) / len(small)))
-            coarse["camera"] = view.intrinsics
+            factor = round(len(measured) / len(small))
+            before = chosen if factor == 2 else reduced(chosen, factor // 2)
+            camera = view.intrinsics.scaled((before.shape[1], before.shape[0]))
+            world, small = reduced_world(loaded, Camera.of(camera), before)
+            coarse["camera"] = camera
         with measurement(world, **coarse) as run:
             misfit = Misfit(run, small, of_small, None, Tone(tone))
             pose, status, steps = least_squares(misfit, run.view.pose, _damping(estimator), iterations)

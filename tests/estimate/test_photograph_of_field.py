@@ -21,9 +21,9 @@ from mitsuba_crb import se3
 from mitsuba_crb.camera import Camera, Intrinsics
 from mitsuba_crb.datasets.photographs import Capture, Photograph
 from mitsuba_crb.estimate.align import align
-from mitsuba_crb.estimate.coarse_field import CoarseField
 from mitsuba_crb.estimate.photograph import PhotographAlignment, align_photograph
 from mitsuba_crb.estimate.reduction import reduced
+from mitsuba_crb.estimate.searched_field import SearchedField, reduced_world
 from mitsuba_crb.export.documents import alignment_document, bound_document
 from mitsuba_crb.information.subset import selected
 from mitsuba_crb.measure.held_out import held_out_residuals
@@ -121,12 +121,13 @@ def test_a_reduced_photograph_is_compared_with_a_reduced_render() -> None:
     """Values and columns are those of the whole image, averaged likewise; masked pixels take no part."""
     world, mask = field(), np.ones((36, 48), dtype=bool)
     mask[:13, 20:29] = False
-    coarse = CoarseField(world, Camera.of(CAMERA), mask, 2)
+    whole = np.where(mask[..., None], shown(world, POSE), np.nan)
+    coarse, small_image = reduced_world(world, Camera.of(CAMERA), whole)
     small = Camera.of(CAMERA.scaled((24, 18)))
     pixels = selected(np.ones((18, 24), dtype=bool))
     values, columns = coarse.columns(small, POSE, pixels)
-    whole = np.where(mask[..., None], shown(world, POSE), np.nan)
-    np.testing.assert_allclose(values, reduced(whole, 2).reshape(-1, 3))
+    np.testing.assert_allclose(values, small_image.reshape(-1, 3))
+    np.testing.assert_array_equal(small_image, reduced(whole, 2))
     np.testing.assert_array_equal(coarse.show(small, POSE, pixels).values, values)
     step = 1e-5
     for k in range(6):
@@ -138,6 +139,18 @@ def test_a_reduced_photograph_is_compared_with_a_reduced_render() -> None:
     # The negative control: the field drawn in larger pixels.
     drawn = world.show(small, POSE, pixels).values
     assert np.nanmax(np.abs(drawn - values)) > 0.02
+
+
+def test_a_search_asks_for_columns_once() -> None:
+    world, camera = field(), Camera.of(CAMERA)
+    searched = SearchedField(world)
+    first = searched.columns(camera, POSE, PIXELS)
+    assert searched.columns(camera, POSE, PIXELS, order=1)[1] is first[1]
+    np.testing.assert_array_equal(first[1], world.columns(camera, POSE, PIXELS)[1])
+    there = start(0.1, 1.0)
+    np.testing.assert_array_equal(
+        searched.columns(camera, there, PIXELS)[1], world.columns(camera, there, PIXELS)[1]
+    )
 
 
 def test_held_out_photographs_tell_noise_and_correlation(tmp_path: Path) -> None:
