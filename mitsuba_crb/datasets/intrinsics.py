@@ -55,10 +55,19 @@ def load_camera(path: str | os.PathLike[str], name: str | None = None) -> Intrin
         if name not in found:
             raise CameraError(f"{file} has no camera {name!r}; {_listed(found, name)}")
         return found[name]()
-    cameras = {make() for make in found.values()}
-    if len(cameras) > 1:
+    cameras: set[Intrinsics | None] = set()
+    for make in found.values():
+        try:
+            cameras.add(make())
+        except CameraError:
+            if len(found) == 1:
+                raise
+            cameras.add(None)  # which may not be the one that is meant
+    if len(cameras) > 1 or None in cameras:
         raise CameraError(f"{file} has several different cameras; name one of them: {_listed(found)}")
-    return cameras.pop()
+    (camera,) = cameras
+    assert camera is not None
+    return camera
 
 
 def file_and_name(text: str, folder: Path = _HERE) -> tuple[Path, str | None]:

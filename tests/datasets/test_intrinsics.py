@@ -133,6 +133,9 @@ class TestSeveralCameras:
     def test_an_unknown_lens_beside_it_does_not_matter(self, tmp_path: Path) -> None:
         other = kalibr(OPENCV, "cam1").replace("camera_model: pinhole", "camera_model: omni")
         path = written(tmp_path, kalibr(OPENCV) + other)
+        message = refused(path)
+        assert "name one of them" in message
+        assert "'cam0'" in message
         assert load_camera(path, "cam0").model == "opencv"
         assert "'omni'" in refused(path, "cam1")
 
