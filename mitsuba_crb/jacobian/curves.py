@@ -145,7 +145,7 @@ class Curves:
             distance = np.linalg.norm(centre[i], axis=1, keepdims=True)
             radius = np.linalg.norm(u[i], axis=1, keepdims=True)
             exists[i] = (distance > radius)[:, 0]
-            sine = np.minimum(radius / np.maximum(distance, np.finfo(float).tiny), 1.0)
+            sine = radius / np.maximum(np.maximum(distance, radius), np.finfo(float).tiny)
             toward = centre[i] / np.maximum(distance, np.finfo(float).tiny)
             # The frame turns smoothly with the lens point, because the helper axis follows the sphere alone.
             helper = np.eye(3)[np.argmin(np.abs(self.origin[i]), axis=1)]
