@@ -20,7 +20,7 @@ from ..se3 import Array
 from .colmap import read_cameras
 from .colmap_model import model_file, model_folder
 from .colmap_points import read_points
-from .images import image_folders, images_in, is_reduced, mask_of
+from .images import image_folders, images_in, is_reduced, mask_of, so_many_images
 from .intrinsics import load_camera
 from .llff import is_llff, llff_intrinsics
 from .pose_list import Poses
@@ -209,12 +209,11 @@ def _sorted_images(file: Path, images: str | None, count: int) -> tuple[Path, li
     folders = [file.parent / images] if images else [*image_folders(file.parent), file.parent]
     if not folders[0].is_dir():
         raise CaptureError(f"{folders[0]} is no folder; name the one that the images are in")
-    counts = {folder: len(images_in(folder)) for folder in folders}
-    for folder, number in counts.items():
-        if number == count:
-            return folder, images_in(folder)
-    found = ", ".join(f"{number} in {folder.name}" for folder, number in counts.items())
-    raise CaptureError(f"{file} has {count} poses, and there are not as many images: {found}")
+    found = so_many_images(folders, count)
+    if found is None:
+        counts = ", ".join(f"{len(images_in(folder))} in {folder.name}" for folder in folders)
+        raise CaptureError(f"{file} has {count} poses, and there are not as many images: {counts}")
+    return found
 
 
 def _seven_scenes(place: Path, camera: Intrinsics | None) -> Found:

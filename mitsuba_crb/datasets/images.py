@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".exr")
@@ -24,13 +25,19 @@ def is_reduced(folder: Path) -> bool:
     return re.fullmatch(r"images_\d+", folder.name) is not None
 
 
-def images_beside(file: Path, count: int) -> list[str] | None:
-    """Names of the images beside a file that lists them by their sorted order; None if none are so many."""
-    for folder in image_folders(file.parent):
+def so_many_images(folders: Iterable[Path], count: int) -> tuple[Path, list[Path]] | None:
+    """The first folder with so many images, and these, sorted; None if there is none."""
+    for folder in folders:
         images = images_in(folder)
         if len(images) == count:
-            return [image.name for image in images]
+            return folder, images
     return None
+
+
+def images_beside(file: Path, count: int) -> list[str] | None:
+    """Names of the images beside a file that lists them by their sorted order; None if none are so many."""
+    found = so_many_images(image_folders(file.parent), count)
+    return None if found is None else [image.name for image in found[1]]
 
 
 def mask_of(folder: Path, name: str) -> Path | None:

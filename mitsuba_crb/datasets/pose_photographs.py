@@ -8,7 +8,7 @@ from pathlib import Path
 from ..errors import CaptureError, PoseError
 from ..files import read_json
 from .folders import capture_file
-from .images import image_folders, images_in
+from .images import image_folders, images_in, so_many_images
 from .pose_list import Poses
 from .seven_scenes import FORMAT, frame_file
 from .transforms import frames_of, image_path
@@ -71,5 +71,5 @@ def _by_name(folder: Path, poses: Poses) -> list[Path | None]:
 
 
 def _by_order(folder: Path, poses: Poses) -> list[Path | None]:
-    images = images_in(folder)
-    return list(images) if len(images) == len(poses) else []
+    found = so_many_images([folder], len(poses))
+    return [] if found is None else [*found[1]]
