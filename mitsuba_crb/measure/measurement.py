@@ -345,7 +345,7 @@ class Measurement:
             expected, error = self.expected.of(pixels, image, noise, paths.spp) if needed else (None, None)
             tile = TileJacobian(values, pixels, image, others, expected, error, causes, step_bias).finite()
             if noise is not None:
-                tile = tile.weighed(noise)
+                tile = tile.weighed(noise, self.told)
             invalid += len(pixels) - len(tile.pixels)
             if self.options.on_tile is not None:
                 self.options.on_tile(tile, done, total)

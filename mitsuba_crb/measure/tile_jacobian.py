@@ -65,9 +65,18 @@ class TileJacobian:
             **chosen,
         )
 
-    def weighed(self, noise: IndependentNoise) -> TileJacobian:
-        """With a noise model's weights, and what they may be biased by."""
+    def weighed(self, noise: IndependentNoise, told: NDArray[np.bool_] | None = None) -> TileJacobian:
+        """With a noise model's weights, and what they may be biased by.
+
+        Args:
+            noise: of independent pixels.
+            told: (H, W) which pixels tell anything; None: all. The columns of the others are zero whatever
+                their weight, which depth's noise has none of where there is no depth.
+        """
         weights, bias = pilot_weights(noise, self.pixels, self.expected, self.pilot_error)
+        if told is not None:
+            x, y = self.pixels.T
+            weights = np.where(told[y, x].reshape(-1, *(weights.ndim - 1) * [1]), weights, 1.0)
         return replace(self, weights=weights, weight_bias=bias)
 
     @property
