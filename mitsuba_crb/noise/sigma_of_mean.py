@@ -144,6 +144,9 @@ class Stereo:
         sigma = positive(self.disparity_sigma, "stereo's sigma of the disparity", "pixel")
         object.__setattr__(self, "disparity_sigma", sigma)
 
+    def __str__(self) -> str:
+        return f"stereo, baseline {self.baseline:g}, disparity ± {self.disparity_sigma:g} pixels"
+
     def noise(self, focal_length: float) -> SigmaPower:
         """σ = z² σ_d/(f b), f the focal length [pixel]."""
         return SigmaPower(self.disparity_sigma / (focal_length * self.baseline), 2.0)

@@ -31,6 +31,8 @@ _LEAST_NAME = 6
 _GAP = 3
 _LEAST_WORDS = 20
 """Letters of a direction that are worth a column."""
+_FILED_WORDS = 60
+"""As many has it where the table goes into a file."""
 _RARE = "rare paths decide"
 _IN_ROWS = ("not resolved", "the bound on ", _RARE)
 """How the notes begin that the rows' numbers and the facts say as well."""
@@ -98,11 +100,11 @@ def _likeness(rows: list[PoseRow], of: int) -> list[str | Text]:
 
 
 def _print_rows(console: Console, rows: tuple[PoseRow, ...]) -> None:
-    # What is not a terminal has no width, and a file should have the rows whole.
-    room = console.width if console.is_terminal else _WIDEST
     letters = max(len(row.name) for row in rows)
     shown = _rows(rows, letters, 3)
     needed = _width(console, shown)
+    # What is not a terminal has no width: there names and numbers are whole, and words about a line of text.
+    room = console.width if console.is_terminal else needed + _GAP + _FILED_WORDS
     if needed > room:
         needed = _width(console, _rows(rows, letters, 2, narrow=True))
         shown = _rows(rows, max(_LEAST_NAME, letters + room - needed), 2, narrow=True)

@@ -14,7 +14,7 @@ from matrices import misfit
 from numpy.typing import NDArray
 from small_scenes import T, camera, mi, scene, textured_wall, wall
 
-from mitsuba_crb import Intrinsics, check_jacobian, pose_bound, pose_jacobian
+from mitsuba_crb import Intrinsics, check_jacobian, pose_bound, pose_jacobian, se3
 from mitsuba_crb.cli import app as cli
 from mitsuba_crb.errors import NoiseError, OptionError, SensorError
 from mitsuba_crb.information.fisher import FisherInformation
@@ -209,8 +209,12 @@ class TestPixels:
         assert nothing["out of range"] == 32 * 24
 
     def test_a_view_of_nothing_has_rank_0(self) -> None:
-        table = pose_table(textured_wall(), [np.diag([-1.0, 1.0, -1.0, 1.0])], **{**DEPTH, "spp": 8})
-        assert [row.rank for row in table.rows] == [0]
+        away = [np.diag([-1.0, 1.0, -1.0, 1.0])]
+        for sigma in (SIGMA, None, Stereo(0.1, 0.2)):
+            options: Any = {**DEPTH, "depth_sigma": sigma, "spp": 8}
+            table = pose_table(textured_wall(), away, **options)
+            assert [row.rank for row in table.rows] == [0]
+            assert set(table.rows[0].verdicts) == {"unseen"}
 
     def test_a_gradient_rich_choice_is_of_pixels_that_measure(self) -> None:
         world = scene(wall=wall(), box=BOX)
@@ -360,6 +364,15 @@ def test_flow_agrees_with_finite_differences_in_the_shipped_scenes(
     found = check_jacobian(scenes / name / f"{name}.xml", spp=512, **own, **DEPTH)
     (row,) = found.rows
     assert (np.abs(row.ratio - 1.0) < np.maximum(0.01, 3 * row.ratio_standard_error)).all(), str(found)
+
+
+def test_many_poses_say_stereo_in_words(scenes: Path, tmp_path: Path, capsys: Any) -> None:
+    np.save(tmp_path / "poses.npy", np.array([se3.exp([0.1 * k, 0.0, 0.0, 0.0, 0.0, 0.0]) for k in range(2)]))
+    words = ["--poses", str(tmp_path / "poses.npy"), "--measure", "depth", "--depth-sigma", "stereo:0.1,0.2"]
+    scene = str(scenes / "textured_wall" / "textured_wall.xml")
+    assert cli.run(["bound", scene, "--size", "12x8", "--spp", "8", *words]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "of depth [scene unit]: stereo, baseline 0.1, disparity ± 0.2 pixels" in out
 
 
 class TestCommand:
