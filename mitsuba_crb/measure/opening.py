@@ -24,7 +24,7 @@ from .options import MeasurementOptions
 def wanted(options: MeasurementOptions) -> Wanted:
     """What the options ask of a world before it is loaded."""
     size = options.size if options.camera is None else None
-    return Wanted(options.sensor, size, options.integrator is not None)
+    return Wanted(options.sensor, size, options.integrator is not None, options.camera is not None)
 
 
 def as_world(world: Any, asked: Wanted | None = None) -> tuple[Any, str]:

@@ -33,6 +33,8 @@ class Wanted:
     """Width and height of the image [pixel]; None: the film's."""
     other_integrator: bool = False
     """The scene's own is not needed."""
+    calibrated: bool = False
+    """The sensor's lens is not needed."""
     apart: bool = False
     """Every mesh and material is an object of its own, for its parameters have names."""
 

@@ -19,7 +19,7 @@ from .fit import Wanted, fit
 from .instantiate import instantiate
 from .lending import turns
 from .scene_file import Parsed, at, parse
-from .world import OPTIONS, is_world, load_world
+from .world import FOV, OPTIONS, is_world, load_world, stands_in
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -68,6 +68,7 @@ def _names_relative_to(folder: Path) -> Iterator[None]:
         mi.set_file_resolver(before)
 
 
+_STANDS_IN = f"it has no camera: one with {FOV:g} degrees across stands in (--camera FILE, or -D fov={FOV:g})"
 _UNTRACEABLE = "emitter timed_sunsky is loaded by Mitsuba, but cannot be traced; use sunsky"
 """Mitsuba 3.9 evaluates what is symbolic there, and no kernel of any scene is traced while one lives."""
 
@@ -165,7 +166,10 @@ def _from_file(source: SceneFile, wanted: Wanted) -> mi.Scene:
 
     file = Path(source.path)
     if is_world(file):
-        return _from_dictionary(_world(file, source.defines), wanted, file)
+        world = _world(file, source.defines)
+        if stands_in(world) and not wanted.calibrated and "fov" not in source.defines:
+            warnings.warn(f"{file}: {_STANDS_IN}", SceneWarning, stacklevel=4)
+        return _from_dictionary(world, wanted, file)
     parsed = read_file(source)
     with _loading(), _names_relative_to(file.parent):
         loaded = _made(parsed, wanted, file)

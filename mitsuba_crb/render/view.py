@@ -239,7 +239,9 @@ def open_view(
         if camera is not None:
             # The map to the sensor's film holds whatever size that has.
             camera, size = camera if size is None else camera.scaled(size), None
-        loaded, label = as_scene(scene, Wanted(sensor, size, integrator is not None, apart))
+        loaded, label = as_scene(
+            scene, Wanted(sensor, size, integrator is not None, camera is not None, apart)
+        )
         from .recorded import Recorder
 
         recorder = Recorder(loaded)

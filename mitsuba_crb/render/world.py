@@ -15,7 +15,7 @@ import dataclasses
 import difflib
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,7 +39,7 @@ OPTIONS = ("up", "light", "fov")
 _AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
 _LIGHTS = ("constant", "sky", "baked", "none")
 _IMAGES = (".exr", ".hdr")
-_FOV, _SIZE = 60.0, (640, 480)
+FOV, _SIZE = 60.0, (640, 480)
 """Of a camera of which nothing is said: horizontal field of view [deg], pixels."""
 _NEAR, _FAR = 1e-4, 1e2
 """Clip planes over the world's diagonal."""
@@ -213,6 +213,12 @@ def _from_z(up: str) -> mi.ScalarTransform4f:
     return mi.ScalarTransform4f(matrix)
 
 
+def stands_in(scene: Mapping[str, Any]) -> bool:
+    """Whether a world's first camera is one that stands nowhere, as its file has none."""
+    cameras = [part for part in scene.values() if isinstance(part, dict) and part["type"] == "perspective"]
+    return bool(np.isnan(np.array(cameras[0]["to_world"].matrix)).any())
+
+
 def _sensors(cameras: list[PlacedCamera], fov: float | None, diagonal: float) -> Iterator[dict[str, Any]]:
     """The file's cameras, or one that stands nowhere."""
     import mitsuba as mi
@@ -246,7 +252,7 @@ def _sensors(cameras: list[PlacedCamera], fov: float | None, diagonal: float) ->
         yield {
             "type": "perspective",
             "id": "camera",
-            "fov": fov or _FOV,
+            "fov": fov or FOV,
             "to_world": mi.ScalarTransform4f(np.full((4, 4), np.nan)),
             "film": _film(*_SIZE),
             **planes,

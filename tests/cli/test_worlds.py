@@ -33,12 +33,16 @@ def test_a_bound_of_a_world_says_its_light(
 ) -> None:
     command = ["bound", str(room), "--pose", POSE, "--size", "16x12", "--spp", "16", "--sigma", "0.01"]
     assert cli.run([*command, "--light", "baked", "-D", "fov=40", "--json", str(tmp_path / "a.json")]) == 0
-    assert "light" not in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "light" not in out
+    assert "stands in" not in out
     document = json.loads((tmp_path / "a.json").read_text())
     assert document["defines"] == {"fov": "40", "light": "baked"}
     assert document["scene"] == str(room)
     assert cli.run(command) == 0
-    assert "radiance 1 from everywhere (--light constant:1)" in " ".join(capsys.readouterr().out.split())
+    out = " ".join(capsys.readouterr().out.split())
+    assert "radiance 1 from everywhere (--light constant:1)" in out
+    assert out.count("it has no camera: one with 60 degrees across stands in (--camera FILE") == 1
 
 
 @pytest.mark.slow
@@ -66,7 +70,7 @@ def test_many_poses_say_their_worlds_light_once(
     assert err == ""
 
 
-def test_many_poses_are_of_one_world(room: Path, tmp_path: Path) -> None:
+def test_many_poses_are_of_one_world(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "path.txt").write_text("".join(f"{t} 0.{t} 0.05 2 0 1 0 0\n" for t in range(3)))
     command = [
         "bound",
@@ -79,6 +83,11 @@ def test_many_poses_are_of_one_world(room: Path, tmp_path: Path) -> None:
         "16x12",
     ]
     assert cli.run([*command, "--spp", "16", "--sigma", "0.01", "--csv", str(tmp_path / "a.csv")]) == 0
+    assert capsys.readouterr().out.count("it has no camera: ") == 1
+    (tmp_path / "camera.toml").write_text("size = [16, 12]\nfocal = 20.0\n")
+    lens = ["--camera", str(tmp_path / "camera.toml"), "--spp", "16", "--sigma", "0.01"]
+    assert cli.run([*command, *lens]) == 0
+    assert "it has no camera: " not in capsys.readouterr().out
     assert len((tmp_path / "a.csv").read_text().splitlines()) == 4
 
 
