@@ -166,7 +166,7 @@ def test_what_lies_behind_the_camera_is_left_out() -> None:
     )  # the last pieces reach over the edge
     sphere = Curves.of(CIRCLE, np.array([[0, 0, 0.5]]), np.array([[1.0, 0, 0]]))
     assert film_length(sphere) == 0.0  # the camera is inside
-    assert film_length(Curves.of(CIRCLE, np.zeros((1, 3)), np.array([[1.0, 0, 0]]))) == 0.0  # at its centre
+    assert film_length(Curves.of(CIRCLE, np.zeros((1, 3)), np.array([[9.0, 0, 0]]))) == 0.0  # at its centre
 
 
 # In scenes
