@@ -91,8 +91,8 @@ def bound(
         typer.Option(
             metavar="NAME",
             help="A parameter that is not known either: gain, black, gain:32 (one in every 32x32 tile), fov, "
-            "principal_point, fx, fy, cx, cy, a coefficient of the camera's lens such as k1, or a scene "
-            "parameter's name in mi.traverse; repeatable.",
+            "principal_point, fx, fy, cx, cy, a coefficient of the camera's lens such as k1, of "
+            "splats all colours or opacities, or a scene parameter's name in mi.traverse; repeatable.",
         ),
     ] = None,
     prior: Annotated[

@@ -41,6 +41,7 @@ from .identifiability import FLOAT32_FLOOR
 from .image_information import as_noise_model, sum_image
 from .image_jacobian import ImageJacobian
 from .linearisation import Linearisation, Linearised
+from .symmetric import pack
 
 Columns = list[int]
 
@@ -56,12 +57,12 @@ class JointInformation(Linearised):
     """
 
     sums: Mapping[frozenset[str], Sums]
-    """Information of (ξ, η) by the set of per-tile nuisances that are unknown, the others known; without
-    per-tile nuisances the empty set's alone."""
+    """Information of (ξ, η) by the set of nuisances without columns that are unknown, the others known;
+    without such the empty set's alone."""
     parameters: tuple[str, ...]
     """Names of η's entries in the order of their columns; a nuisance of several columns repeats its name."""
     per_tile: tuple[str, ...]
-    """Names of the nuisances with a value in every tile."""
+    """Names of the nuisances without columns: those with a value in every tile, and a map's (`without`)."""
     treatment: Mapping[str, Literal["marginalized", "fixed"]] = field(default_factory=dict)
     """What was decided of which nuisance."""
 
@@ -101,6 +102,18 @@ class JointInformation(Linearised):
             NuisanceError: there is none of that name.
         """
         return self._treat(names, "fixed")
+
+    def without(self, name: str, lost: Array, error: float) -> JointInformation:
+        """With one nuisance, not knowing which takes (6, 6) `lost` of a pose without others.
+
+        Args:
+            error: standard error of the entries over √(lost_ii lost_jj).
+        """
+        sums, scale = self.sums[frozenset()], np.sqrt(np.diagonal(lost))
+        own = np.diag(np.square(error * pack(np.outer(scale, scale))))
+        entries = sums.covariance_of_entries + own
+        left = Sums(sums.matrix - lost, entries, sums.plain_matrix - lost, sums.bias)
+        return dataclass_replace(self, sums={**self.sums, frozenset([name]): left}, per_tile=(name,))
 
     def restore(self, *names: str) -> JointInformation:
         """With nothing decided of these nuisances; without names, of any."""

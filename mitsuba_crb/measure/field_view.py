@@ -25,12 +25,14 @@ from ..noise.measured import COLOUR, DISPLAY_REFERRED
 from ..radiance.beside import beside
 from ..radiance.exact import FIELD_METHODS, FIELD_REFERENCE, STEP_PIXELS
 from ..radiance.field import Field, Viewpoint
+from ..radiance.map_nuisance import UNKNOWNS
 from ..render.fit import find
 from ..render.lending import turns
 from ..render.rays import coarse_grid
 from .likeness import Likeness, compared, unlike
 from .nuisances import FILM_NAMES, Nuisance, by_renders, opened
 from .options import MeasurementOptions
+from .unknown_map import map_nuisance
 
 _GRID = 96
 """Pixels across and down through which depth is looked at."""
@@ -137,15 +139,17 @@ class FieldView:
     def open_nuisances(self, names: Sequence[str], method: type[Method]) -> tuple[Nuisance, ...]:
         """See `Measurable.open_nuisances`."""
         film = functools.partial(by_renders, self, step_pixels=STEP_PIXELS)
-        return opened(self, names, film=film, own=self._no_nuisance)
+        return opened(self, names, film=film, own=self._own_nuisance)
 
-    def _no_nuisance(self, name: str) -> Nuisance:
-        """What may have been meant.
+    def _own_nuisance(self, name: str) -> Nuisance:
+        """A map's unknowns.
 
         Raises:
-            NuisanceError: always.
+            NuisanceError: it is none of them, with what may have been meant; or as `map_nuisance`.
         """
-        known = ("gain", "black", *FILM_NAMES)
+        if name in UNKNOWNS:
+            return map_nuisance(self.field, name, self.camera, self.pose, _cameras(self.field)[0])
+        known = ("gain", "black", *FILM_NAMES, *UNKNOWNS)
         near = get_close_matches(name.partition(":")[0], known, 4, 0.5)
         raise NuisanceError(
             f"no nuisance of a radiance field is named {name}; {'near ones' if near else 'there are'}: "
@@ -224,18 +228,26 @@ def open_field_view(field: Field, options: MeasurementOptions) -> Iterator[Field
         yield view if photograph is None else _beside_its(photograph, view)
 
 
+def _cameras(field: Field) -> tuple[Sequence[Viewpoint], Sequence[Path | None]]:
+    """The cameras that a field comes with, and the photographs that were taken by them.
+
+    Raises:
+        FieldError: it comes with none.
+    """
+    if field.viewpoints:
+        return field.viewpoints, [None] * len(field.viewpoints)
+    found = beside(Path(field.label))
+    if found is None:
+        raise FieldError(
+            f"{field.label} comes with no camera: say what sees it (--camera FILE, camera=) and from where "
+            "(--pose, pose=)"
+        )
+    return found.viewpoints, found.photographs
+
+
 def _viewpoint(field: Field, which: int | str) -> tuple[Viewpoint, Path | None]:
     """A camera that a field comes with, and the photograph that was taken by it."""
-    viewpoints: Sequence[Viewpoint] = field.viewpoints
-    photographs: Sequence[Path | None] = [None] * len(viewpoints)
-    if not viewpoints:
-        found = beside(Path(field.label))
-        if found is None:
-            raise FieldError(
-                f"{field.label} comes with no camera: say what sees it (--camera FILE, camera=) and from "
-                "where (--pose, pose=)"
-            )
-        viewpoints, photographs = found.viewpoints, found.photographs
+    viewpoints, photographs = _cameras(field)
     names = [viewpoint.name for viewpoint in viewpoints]
     index = find(names, which)
     if index is None or not -len(names) <= index < len(names):

@@ -38,6 +38,7 @@ from .options import MeasurementKeywords, MeasurementOptions
 from .plan import Plan
 from .sensing import RGBD, noise_of_depth
 from .tile_jacobian import TileJacobian
+from .unknown_map import with_unknown_map
 from .versions import versions
 
 
@@ -309,7 +310,7 @@ class Measurement:
             coupled=noise.couples_pixels,
         )
         self.sum_into(accumulator, noise)
-        return accumulator.information(self.linearisation), accumulator.kept
+        return with_unknown_map(accumulator.information(self.linearisation), self, noise), accumulator.kept
 
     def weighted_tiles(self, noise: IndependentNoise) -> Iterator[tuple[TileJacobian, NDArray[np.float64]]]:
         """The Jacobian, one tile after the other, and a noise model's weights there."""

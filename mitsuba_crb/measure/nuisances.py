@@ -76,9 +76,14 @@ class Nuisance:
     """What the method has to follow beside the pose."""
     rendered: tuple[SceneParameter | IntrinsicParameter, ...] = ()
     """What needs renders of its own."""
+    lost: Callable[[Pixels, Floats], Floats] | None = None
+    """Of one without columns: what not knowing it takes of the pose's information (6, 6), of pixels (n, 2)
+    and their weights (n, 3)."""
 
     def columns(self, view: Any, pixels: Pixels, images: Floats, film: Floats, paths: Paths) -> list[Floats]:
         """(batches, n, 3, ·) each, `width` columns in all; arguments as of `nuisance_columns`."""
+        if self.lost is not None:
+            return []
         if self.film_flows:
             return [film]
         if self.rendered:

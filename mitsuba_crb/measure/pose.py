@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Any, Unpack
 
 from ..bound.cramer_rao import PoseBound, cramer_rao_bound, joint_bound
-from ..errors import BlindSpotWarning, OptionError, PrecisionWarning, SceneWarning
+from ..errors import BlindSpotWarning, NuisanceError, OptionError, PrecisionWarning, SceneWarning
 from ..information.fisher import FisherInformation
 from ..information.image_jacobian import ImageJacobian
 from ..noise import NoiseModel
@@ -50,6 +50,9 @@ def pose_jacobian(
         Muthukkumar 2025, section 3; design section 4.
     """
     with measurement(scene, nuisances=nuisances, **options) as run:
+        without = [nuisance.name for nuisance in run.nuisances if nuisance.lost is not None]
+        if without:
+            raise NuisanceError(f"{', '.join(without)} have no columns; pose_bound says what they cost")
         run.warn_of_limits()
         return run.jacobian(pilot=True)
 
