@@ -291,8 +291,8 @@ def _noise(noise: dict[str, Any]) -> str:
     share = noise.get("saturated")
     if share is None:
         return text
-    part = f"{100 * share:.2g} % of the values are" if share else "no value is"
-    return f"{text}; {part} saturated, which tells nothing"
+    part = f"{100 * share:.2g} % of the values are saturated, which tells nothing"
+    return f"{text}; {part if share else 'no value is saturated'}"
 
 
 def pixels_measured(pixels: dict[str, Any]) -> str:
