@@ -33,6 +33,9 @@ if TYPE_CHECKING:
     from ..camera import Camera
     from .march import Matter
 
+FINER = 4
+"""Places along a ray for each that it has in training. An image of fewer is as good to the eye, but where
+surfaces are cut moves with the camera: with 1, the fox's information on ρz was 1.75 times as large."""
 _NOTHING = 1e-3
 """Opacity below which nothing is seen that could have a depth."""
 
@@ -167,7 +170,7 @@ class HashGrid:
         made: dict[int, Matter] = self._made
         if order not in made:
             network = Network(self._encoding, self.weights, turned=order == 1)
-            made[order] = matter_of(self.design, network, Cells(self.vertices))
+            made[order] = matter_of(self.design, network, Cells(self.vertices), FINER)
         return made[order]
 
     @functools.cached_property
@@ -198,14 +201,14 @@ class _Rays:
     """(n, 3) the direction in the camera's frame."""
 
 
-def matter_of(design: Design, network: Network, cells: Cells) -> Matter:
-    """What rays march through, in a field of this design."""
+def matter_of(design: Design, network: Network, cells: Cells, finer: int = 1) -> Matter:
+    """What rays march through, in a field of this design, at so many times as many places as in training."""
     import mitsuba as mi
 
     from .march import Matter
 
-    ratio = design.ratio
-    places = design.near * ratio ** (np.arange(design.steps) + 0.5)
+    ratio = design.ratio(finer)
+    places = design.near * ratio ** (np.arange(finer * design.steps) + 0.5)
     width = ratio**0.5 - ratio**-0.5
     return Matter(network, cells, upload(mi.Float, places), mi.Float(_opaque(width)))
 

@@ -44,8 +44,8 @@ class Design:
     """Per level: 2 or 4."""
     coarsest: int = 16
     """Vertices along a side of the cube on the first level."""
-    finest: int = 1024
-    """On the last."""
+    finest: int = 512
+    """On the last: cells as large as what a pixel sees hold all that photographs tell."""
     table: int = 2**18
     """Most entries of a level."""
     hidden: int = 64
@@ -53,16 +53,15 @@ class Design:
     cells: int = 128
     """Of the occupancy, along a side of the cube."""
     steps: int = 640
-    """Places along a ray."""
+    """Places along a ray while training, each ray's shifted by chance."""
     near: float = 0.1
     """Where the first of them is [scale of the scene]."""
     far: float = 33.0
     """Where the last is: beyond the last cell whose window is not 0."""
 
-    @property
-    def ratio(self) -> float:
-        """Of the distances of two neighbouring places along a ray."""
-        return float((self.far / self.near) ** (1.0 / self.steps))
+    def ratio(self, finer: int = 1) -> float:
+        """Of the distances of two neighbouring places along a ray, with so many times as many of them."""
+        return float((self.far / self.near) ** (1.0 / (finer * self.steps)))
 
     def encoding(self, seed: int) -> Any:
         """A new hash grid, filled with small random numbers."""

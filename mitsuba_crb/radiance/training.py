@@ -47,6 +47,8 @@ _EVERY = 32
 """Steps between looks at the occupancy."""
 _SLOTS = 2**22
 """Most places of a step, kept or not."""
+_FINEST = 0.75
+"""Cells of the finest level per pixel."""
 _CHECKPOINT_S = 30.0
 _MOMENTS = ("first", "second")
 _TRACKED = 4096
@@ -112,7 +114,7 @@ def train_field(
         size: of all photographs [pixel]; default: halved until no side is longer than 480.
         minutes: of training.
         steps: of descent, in place of minutes: then the same seed gives the same field, but for rounding.
-        design: sizes of the field's parts.
+        design: sizes of the field's parts; default: those that suit the photographs.
 
     Raises:
         CaptureError: there is nothing to train on, or an image cannot be read.
@@ -127,7 +129,7 @@ def train_field(
         raise OptionError(f"training takes at least one step, not {steps}")
     use_mitsuba()
     train, held = pools(capture, size)
-    design = design or Design()
+    design = design or _design_for(train)
     settings = {
         "photographs": len(capture),
         "capture": train.digest,
@@ -139,6 +141,15 @@ def train_field(
     run = _Run(Path(out), train, held, settings, design, seed)
     run.go_on(60.0 * minutes if steps is None else np.inf, steps, on_progress)
     return run.result()
+
+
+def _design_for(pool: Pool) -> Design:
+    """One whose finest cells are about as large as what a pixel sees of the centre."""
+    focal = float(np.median([np.mean(viewpoint.intrinsics.focal) for viewpoint in pool.viewpoints]))
+    positions = np.array([viewpoint.pose[:3, 3] for viewpoint in pool.viewpoints])
+    distance = float(np.median(np.linalg.norm(pool.space.normalised(positions), axis=1)))
+    across = 4.0 * focal / max(distance, 1e-3)  # such pixels along a side of the cube
+    return Design(finest=int(np.clip(_FINEST * across, 64, 4096)))
 
 
 class _Run:
@@ -231,7 +242,7 @@ class _Run:
 
     def _descend(self, matter: Matter, rng: np.random.Generator, fraction: float) -> float:
         rays = self.train.draw(rng, self.rays)
-        late = self.design.ratio ** (rng.random(self.rays) - 0.5)
+        late = self.design.ratio() ** (rng.random(self.rays) - 0.5)
         backgrounds = rng.random((self.rays, 3))
         room = min(self.design.steps, _SLOTS // self.rays)
         outcome = descend(matter, rays, late.astype(np.float32), backgrounds.astype(np.float32), room)

@@ -26,7 +26,7 @@ use_mitsuba()
 
 Floats = NDArray[np.float64]
 
-DESIGN = Design(levels=4, features=2, coarsest=4, finest=24, table=2**10, hidden=16, cells=16, steps=160)
+DESIGN = Design(levels=4, features=2, coarsest=4, finest=24, table=2**10, hidden=16, cells=16, steps=40)
 CAMERA = Camera.pinhole(30.0, (12.0, 10.0), (24, 20))
 POSE = se3.exp([0.3, -0.2, -2.1, 0.1, 0.2, -0.3])
 

@@ -250,7 +250,7 @@ def test_the_command_refuses_missing_and_mismatched_images(
 def test_the_command_trains_prints_a_table_and_says_when_it_is_stopped(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(training, "Design", lambda: DESIGN)
+    monkeypatch.setattr(training, "_design_for", lambda _: DESIGN)
     arguments = ["train", str(folder), "--out", str(tmp_path / "f.npz"), "--steps", "3"]
     assert cli.run(arguments) == 0
     out = capsys.readouterr().out
