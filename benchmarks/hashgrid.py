@@ -2,7 +2,7 @@
 
     python benchmarks/hashgrid.py fox [FIELD.npz] [MINUTES]   PSNR of held-out photographs against time
     python benchmarks/hashgrid.py cost FIELD.npz              six columns beside the image
-    python benchmarks/hashgrid.py columns FIELD.npz           each column against differences, and more places
+    python benchmarks/hashgrid.py columns FIELD.npz           them beside differences, the film, more places
 
 `fox` trains at 135x240 into FIELD.npz (default: fox.npz here), or goes on with what is there; its capture is
 ../shared/data/multiview/fox_270x480.
@@ -77,7 +77,7 @@ def columns(file: str) -> None:
         depth = float(np.nanmedian(shown.depth))
         found = field.columns(camera, pose, pixels)[1]
         print(f"{field.viewpoints[k].name}: median depth {depth:.3g}")
-        for motion in (0.3, 0.1, 0.03):
+        for motion in (0.1, 0.03, 0.01):
             angles = camera.angles(motion)
             steps = np.concatenate([angles[:2] * depth, [angles[0] * depth], angles])
             words = []
@@ -87,16 +87,29 @@ def columns(file: str) -> None:
                 wanted = (ahead - back) / (2.0 * steps[j])
                 a, b = found[..., j].ravel(), wanted.ravel()
                 words.append(f"{a @ b / (a @ a):.4f} ({np.corrcoef(a, b)[0, 1]:.5f})")
-            print(f"  step {motion:4.2f} pixel: slope (correlation) {'  '.join(words)}")
+            print(f"  step {motion:5.3f} pixel: slope (correlation) {'  '.join(words)}")
+        film, step = pixels + 0.5, 0.01
+        gradient = np.stack(
+            [
+                (
+                    field.at(camera, pose, film + step * axis).values
+                    - field.at(camera, pose, film - step * axis).values
+                )
+                / (2.0 * step)
+                for axis in np.eye(2)
+            ],
+            axis=-1,
+        )
+        flow = camera.flow(camera.directions(film))[:, :, 3:]
+        along = -np.einsum("ncf,nfk->nck", gradient, flow)
+        turned = found[..., 3:]
+        ratios = (turned * along).sum(axis=(0, 1)) / (turned**2).sum(axis=(0, 1))
+        print("  rotation columns: slope of the image's flow along the film", np.round(ratios, 4))
         two = field.columns(camera, pose, pixels, order=1)[1]
         more = finer.columns(camera, pose, pixels)[1]
         F, other, better = (np.einsum("nci,ncj->ij", J, J) for J in (found, two, more))
-        print(
-            "  orders of summation: F differs by",
-            relative(F, other),
-            "; twice as many places:",
-            relative(F, better),
-        )
+        print(f"  orders of summation: F differs by {relative(F, other)} of √(F_ii F_jj)")
+        print("  F_ii with twice as many places, over F_ii:", np.round(np.diag(better) / np.diag(F), 4))
 
 
 def relative(F: np.ndarray, other: np.ndarray) -> str:
