@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..camera import Camera
 from ..render.arrays import upload
 from ..se3 import Array
-from .network import Network, density
+from .network import Network
 from .occupancy import Vertices, everywhere
 from .scene_space import SceneSpace, expanded, stretch
 
@@ -47,7 +47,7 @@ class Exploration:
         aside = rng.uniform(-1.0, 1.0, self._vertices.shape).astype(np.float32)
         u = (self._vertices + aside) / np.float32(self.cells)
         outputs, _ = network.outputs(mi.Vector3f(*(upload(mi.Float, u[:, k]) for k in range(3))))
-        found = np.array(density(outputs[0])) * self._widths
+        found = np.array(network.density(outputs[0])) * self._widths
         self.thickness = np.maximum(np.float32(_DECAY) * self.thickness, found)
         vertices = np.zeros_like(self.seen)
         # A scene that is thin everywhere, as at the beginning, is not empty.

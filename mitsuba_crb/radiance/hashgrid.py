@@ -169,7 +169,7 @@ class HashGrid:
     def _matter(self, order: int) -> Matter:
         made: dict[int, Matter] = self._made
         if order not in made:
-            network = Network(self._encoding, self.weights, turned=order == 1)
+            network = Network(self.design, self._encoding, self.weights, turned=order == 1)
             made[order] = matter_of(self.design, network, Cells(self.vertices), FINER)
         return made[order]
 

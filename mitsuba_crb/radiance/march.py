@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 
 from .interpolation import window
-from .network import Network, basis, colour, density, still_rises, weighted
+from .network import Network, basis, colour, weighted
 from .occupancy import Cells
 from .scene_space import contracted, pulled
 
@@ -89,10 +89,10 @@ def sample(
     byte, f = matter.cells.at(u)
     inside, edge = window(byte, f)
     outputs, along = matter.network.outputs(u, slopes=slopes is not None)
-    full, c = density(outputs[0]), colour(outputs, Y)
+    full, c = matter.network.density(outputs[0]), colour(outputs, Y)
     if slopes is None:
         return Sample(z, step, inside * full, c, None, [])
-    rise = dr.select(still_rises(outputs[0]), inside * full, 0.0)
+    rise = dr.select(matter.network.density_rises(outputs[0]), inside * full, 0.0)
     s = mi.Vector3f(*(tangent[0] for tangent in along))
     dsigma = pulled(z, mi.Vector3f(rise * s + (full * float(matter.cells.count)) * edge))
     dcolour = []

@@ -1,7 +1,7 @@
 """The field itself: density and colour at a point, and their gradients, by a hash grid and a small network.
 
     (s, k) = W₂ relu(W₁ features(u) + b₁) + b₂       s: 1, k: 3 x 9
-    σ = window(u) exp(s − 3)                         density [1 / scale of the scene]
+    σ = window(u) exp(s + haze)                      density [1 / scale of the scene]
     c = sigmoid(Σ_j k_j Y_j(d))                      display-referred
 
 The network sees no direction: colours' harmonics do, so that all derivatives follow from three tangents in u.
@@ -28,8 +28,6 @@ Weights = dict[str, NDArray[np.float32]]
 COUNT = 9
 """Harmonics of the direction that a colour has, degrees 0 to 2."""
 OUTPUTS = 1 + 3 * COUNT
-_SHIFT = -3.0
-"""Of the logarithm of density: an untrained scene is a thin fog."""
 _HIGHEST = 11.0
 """Of that logarithm: denser is opaque within any step, and exp stays far from overflow."""
 
@@ -56,6 +54,8 @@ class Design:
     """Places along a ray while training, each ray's shifted by chance."""
     near: float = 0.1
     """Where the first of them is [scale of the scene]."""
+    haze: float = -1.0
+    """Logarithm of an untrained scene's density: a fog, thick enough to hide what is behind or not."""
     far: float = 33.0
     """Where the last is: beyond the last cell whose window is not 0."""
 
@@ -104,7 +104,7 @@ def new_weights(design: Design, seed: int) -> Weights:
 class Network:
     """A hash grid and the network behind it, where kernels can read them."""
 
-    def __init__(self, encoding: Any, weights: Weights, *, turned: bool = False) -> None:
+    def __init__(self, design: Design, encoding: Any, weights: Weights, *, turned: bool = False) -> None:
         """Of a hash grid and weights.
 
         Args:
@@ -114,7 +114,7 @@ class Network:
         from drjit import nn
 
         weights = _turned(weights) if turned else weights
-        self.encoding, self.turned = encoding, turned
+        self.encoding, self.turned, self._haze = encoding, turned, design.haze
         tensors = [
             mi.TensorXf(upload(mi.Float, weights[name].ravel()), weights[name].shape)
             for name in ("w1", "b1", "w2", "b2")
@@ -151,6 +151,14 @@ class Network:
                 tangents.append(list(nn.matvec(w2, nn.CoopVec(*kept))))
         return values, tangents
 
+    def density(self, s: mi.Float) -> mi.Float:
+        """exp(s + haze), before the window."""
+        return dr.exp(dr.minimum(s + self._haze, _HIGHEST))
+
+    def density_rises(self, s: mi.Float) -> mi.Bool:
+        """Whether density depends on s: not where it is as high as it gets."""
+        return s + self._haze < _HIGHEST
+
     def _ordered(self, features: list[Any]) -> list[Any]:
         return features[::-1] if self.turned else features
 
@@ -159,16 +167,6 @@ def _turned(weights: Weights) -> Weights:
     """The same network with inputs and hidden units in reverse."""
     w1, b1, w2, b2 = (weights[name] for name in ("w1", "b1", "w2", "b2"))
     return {"w1": w1[::-1, ::-1], "b1": b1[::-1], "w2": w2[:, ::-1], "b2": b2}
-
-
-def density(s: mi.Float) -> mi.Float:
-    """exp(s − 3), before the window."""
-    return dr.exp(dr.minimum(s + _SHIFT, _HIGHEST))
-
-
-def still_rises(s: mi.Float) -> mi.Bool:
-    """Whether density depends on s: not where it is as high as it gets."""
-    return s + _SHIFT < _HIGHEST
 
 
 def colour(outputs: list[Any], Y: list[Any]) -> mi.Color3f:

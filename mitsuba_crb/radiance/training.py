@@ -49,6 +49,8 @@ _SLOTS = 2**22
 """Most places of a step, kept or not."""
 _FINEST = 0.75
 """Cells of the finest level per pixel."""
+_CLEAR = -3.0
+"""`Design.haze` where photographs are transparent: behind 33 scales of the usual fog nothing is learned."""
 _CHECKPOINT_S = 30.0
 _MOMENTS = ("first", "second")
 _TRACKED = 4096
@@ -149,7 +151,8 @@ def _design_for(pool: Pool) -> Design:
     positions = np.array([viewpoint.pose[:3, 3] for viewpoint in pool.viewpoints])
     distance = float(np.median(np.linalg.norm(pool.space.normalised(positions), axis=1)))
     across = 4.0 * focal / max(distance, 1e-3)  # such pixels along a side of the cube
-    return Design(finest=int(np.clip(_FINEST * across, 64, 4096)))
+    finest = int(np.clip(_FINEST * across, 64, 4096))
+    return Design(finest=finest, haze=Design.haze if pool.opaque else _CLEAR)
 
 
 class _Run:
@@ -189,7 +192,7 @@ class _Run:
             self.encoding.set_params(upload(mi.Float, earlier.entries))
             weights, self.vertices = earlier.weights, earlier.vertices
             self.explored.recall(earlier.vertices)
-        self.network = Network(self.encoding, weights)
+        self.network = Network(self.design, self.encoding, weights)
         self.moments = {
             "entries": Moments.zero(self.encoding.n_params),
             "weights": Moments.zero(dr.width(self.network.packed)),

@@ -56,7 +56,7 @@ def vectors(points: Floats) -> mi.Vector3f:
 class TestParts:
     def test_features_are_those_of_drjit_and_slopes_those_of_automatic_differentiation(self) -> None:
         encoding = DESIGN.encoding(1)
-        network = Network(encoding, new_weights(DESIGN, 1))
+        network = Network(DESIGN, encoding, new_weights(DESIGN, 1))
         u = vectors(np.random.default_rng(0).random((64, 3)))
         features, along = interpolation.encode(encoding, u, slopes=True)
         dr.enable_grad(u)
@@ -73,7 +73,7 @@ class TestParts:
     def test_weights_come_back_as_they_were(self) -> None:
         weights = new_weights(DESIGN, 5)
         for turned in (False, True):
-            found = Network(DESIGN.encoding(1), weights, turned=turned).weights()
+            found = Network(DESIGN, DESIGN.encoding(1), weights, turned=turned).weights()
             for name in weights:
                 np.testing.assert_array_equal(found[name], weights[name])
 
