@@ -225,6 +225,8 @@ def test_residuals_held_out_tell_noise_and_the_maps_error(wall: Any, truth: Any,
     clean = held_out_residuals(wall, capture_of(wall, pose, tmp_path, 4), **OPTIONS | {"spp": 128})
     # Eight bits, and the noise of what was photographed, add some per cent.
     np.testing.assert_allclose(clean.noise.estimate**0.5, 1.07 * SIGMA, rtol=0.07)
+    inner = clean.in_radiance().noise.estimate ** 0.5
+    np.testing.assert_allclose(inner, clean.noise.estimate**0.5 / GAIN, rtol=0.02)
     assert clean.covariance().pixels_alike == pytest.approx(1.0, abs=0.5)
     (tmp_path / "map").mkdir()
     wrong = capture_of(wall, pose, tmp_path / "map", 4, error=0.02)
@@ -311,6 +313,40 @@ def test_what_cannot_be_aligned_is_one_line(
     assert err.count("\n") == 1
     assert words in err
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir() if file.is_file()} == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--photographs", "nowhere"], "cannot read nowhere"),
+        (["--photographs", "."], "no posed photographs"),
+        (["--photographs", ".", "--poses", "starts.npy"], "--photographs is of a single pose"),
+        (["--photographs", "capture", "--prior", "prior.toml"], "leave out --prior"),
+        (["--photographs", "capture", "--measure", "depth"], "leave out --prior and --measure"),
+    ],
+)
+def test_photographs_that_cannot_stand_beside_a_bound_are_one_line(
+    scenes: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    words: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = Path("capture")
+    folder.mkdir()
+    written(folder / "a.png", np.random.default_rng(0).uniform(0.1, 0.8, (36, 48, 3)))
+    frame = {"file_path": "a.png", "transform_matrix": np.eye(4).tolist()}
+    document = {"w": 48, "h": 36, "fl_x": 50.0, "fl_y": 50.0, "frames": [frame]}
+    (folder / "transforms.json").write_text(json.dumps(document))
+    Path("prior.toml").write_text('position_std = 0.5\nframe = "camera"\n')
+    scene = str(scenes / "textured_wall" / "textured_wall.xml")
+    assert cli.run(["bound", scene, *arguments, "--spp", "4", "--size", "48x36"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert words in err
 
 
 def test_a_photograph_of_something_else_is_not_aligned(
