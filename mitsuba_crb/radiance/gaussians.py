@@ -20,6 +20,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .. import se3
 from ..camera import Camera
 from ..datasets.splats import Splats, load_splats
 from ..errors import FieldError
@@ -72,6 +73,7 @@ class Gaussians:
         near: float = NEAR,
         label: str = "splats",
         viewpoints: Sequence[Viewpoint] = (),
+        sorted_from: ArrayLike | None = None,
     ) -> None:
         """Splats before a background.
 
@@ -82,9 +84,12 @@ class Gaussians:
             near: depth up to which a splat is left out [unit of the splats].
             label: what messages call them.
             viewpoints: cameras that they come with.
+            sorted_from: (4, 4) pose whose order of depth every image has, so that none jumps where two splats
+                change places; default: its own, as rasterisers sort.
 
         Raises:
             FieldError: the variant is unknown, the background no colour, or `near` not positive.
+            PoseError: `sorted_from` is no rigid motion.
             LLVMError, VariantError: as `use_mitsuba`.
         """
         if variant not in DILATION:
@@ -100,6 +105,7 @@ class Gaussians:
         use_mitsuba()
         self.splats, self.variant, self.background, self.near = splats, variant, colour, float(near)
         self._label, self._viewpoints = label, tuple(viewpoints)
+        self._sorted_from = None if sorted_from is None else se3.as_pose(sorted_from)
         self._cloud = Cloud.of(splats)
         self._tiled: tuple[bytes, Tiled] | None = None
 
@@ -159,6 +165,7 @@ class Gaussians:
             "variant": self.variant,
             "background": self.background.tolist(),
             "near": self.near,
+            **({} if self._sorted_from is None else {"sorted from": self._sorted_from.tolist()}),
             "fingerprint": self._fingerprint(),
         }
 
@@ -215,7 +222,9 @@ class Gaussians:
 
     def _seen(self, camera: Camera, pose: Floats, kept: Floats | None) -> Tiled:
         """Splats by tile; those of the last pose are at hand, for tile after tile of one image."""
-        kept = pose if kept is None else np.asarray(kept, dtype=np.float64)
+        if kept is None:
+            kept = pose if self._sorted_from is None else self._sorted_from
+        kept = np.asarray(kept, dtype=np.float64)
         what = (camera.scale, camera.offset, np.asarray(camera.size), pose, kept)
         key = b"".join(np.ascontiguousarray(array).tobytes() for array in what)
         if self._tiled is None or self._tiled[0] != key:

@@ -237,6 +237,17 @@ def test_kept_keeps_the_order_of_depth() -> None:
     assert swapped[1] > swapped[0]
 
 
+def test_splats_sorted_from_a_pose_keep_its_order_in_all_images() -> None:
+    moved = POSE @ se3.exp([0.05, 0.0, 0.0, 0.02, 0.1, 0.0])
+    free = Gaussians(odd_splats(), background=BACKGROUND)
+    held = Gaussians(odd_splats(), background=BACKGROUND, sorted_from=POSE)
+    kept = free.show(SMALL, moved, ALL, kept=POSE).values
+    np.testing.assert_array_equal(held.show(SMALL, moved, ALL).values, kept)
+    np.testing.assert_allclose(held.columns(SMALL, moved, ALL)[0], kept, atol=1e-6)
+    assert np.abs(free.show(SMALL, moved, ALL).values - kept).max() > 1e-3
+    assert held.provenance()["sorted from"] == POSE.tolist()
+
+
 def test_nothing_is_seen_behind_the_camera_or_too_near() -> None:
     field = Gaussians(random_splats(), background=BACKGROUND)
     back = np.diag([-1.0, 1.0, -1.0, 1.0])
