@@ -49,9 +49,9 @@ def train(
     variant: Variant = None,
     debug: Debug = False,
 ) -> int:
-    """Train a radiance field, a hash grid, on a capture; `bound` and the others take its file as a scene.
+    """A radiance field (a hash grid) trained on posed photographs.
 
-    The photographs that are held out are compared with it at the end. Ctrl-C keeps what was written last, at
+    Its file is a scene for `bound` and the others. The photographs that are held out are compared with it at the end. Ctrl-C keeps what was written last, at
     most half a minute earlier; the same command goes on from there.
     """
     with foreseen(debug, variant):
