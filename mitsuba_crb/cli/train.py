@@ -51,8 +51,9 @@ def train(
 ) -> int:
     """A radiance field (a hash grid) trained on posed photographs.
 
-    Its file is a scene for `bound` and the others. The photographs that are held out are compared with it at the end. Ctrl-C keeps what was written last, at
-    most half a minute earlier; the same command goes on from there.
+    Its file is a scene for `bound` and the others. The photographs that are held out are compared with it at
+    the end. Ctrl-C keeps what was written last, at most half a minute earlier; the same command goes on from
+    there.
     """
     with foreseen(debug, variant):
         from ..datasets.captures import load_capture
