@@ -4,8 +4,8 @@
 
 Each photograph that the capture holds out is aligned from a start 5 degrees and a tenth of the median depth
 away from its given pose in random directions. A search converged if it ends within 1 degree and a fiftieth of
-the depth of it. For those: the errors over the ideal bound's standard deviations (of the residuals' noise as if
-it were white), and over the misspecified covariance's (of residuals pooled over the held-out photographs), as
+the depth of it. For those: the errors over the ideal bound's standard deviations (of the residuals' noise as
+if white), and over the misspecified covariance's (of residuals pooled over the held-out photographs), as
 root mean squares over the six axes, camera frame; 1 if a covariance is right.
 """
 
@@ -76,7 +76,8 @@ def searches(file: Path, folder: Path) -> None:
         ideal, real = (float(np.sqrt(np.mean(row**2))) for row in ratios)
         print(
             f"{photograph.name}: {result.status}, {np.degrees(angle):.3f} deg, {distance:.4f} of the depth; "
-            f"errors over ideal {ideal:.2f}, over misspecified {real:.2f}; {time.perf_counter() - begin:.0f} s",
+            f"errors over ideal {ideal:.2f}, over misspecified {real:.2f}; "
+            f"{time.perf_counter() - begin:.0f} s",
             flush=True,
         )
         if angle < NEAR_TURN and distance < NEAR_MOVE:
