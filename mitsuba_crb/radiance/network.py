@@ -54,8 +54,8 @@ class Design:
     """Places along a ray while training, each ray's shifted by chance."""
     near: float = 0.1
     """Where the first of them is [scale of the scene]."""
-    haze: float = -1.0
-    """Logarithm of an untrained scene's density: a fog, thick enough to hide what is behind or not."""
+    haze: float = -3.0
+    """Logarithm of an untrained scene's density: a fog so thin that what is behind is learned too."""
     far: float = 33.0
     """Where the last is: beyond the last cell whose window is not 0."""
 

@@ -49,8 +49,6 @@ _SLOTS = 2**22
 """Most places of a step, kept or not."""
 _FINEST = 0.75
 """Cells of the finest level per pixel."""
-_CLEAR = -3.0
-"""`Design.haze` where photographs are transparent: behind 33 scales of the usual fog nothing is learned."""
 _CHECKPOINT_S = 30.0
 _MOMENTS = ("first", "second")
 _TRACKED = 4096
@@ -151,8 +149,7 @@ def _design_for(pool: Pool) -> Design:
     positions = np.array([viewpoint.pose[:3, 3] for viewpoint in pool.viewpoints])
     distance = float(np.median(np.linalg.norm(pool.space.normalised(positions), axis=1)))
     across = 4.0 * focal / max(distance, 1e-3)  # such pixels along a side of the cube
-    finest = int(np.clip(_FINEST * across, 64, 4096))
-    return Design(finest=finest, haze=Design.haze if pool.opaque else _CLEAR)
+    return Design(finest=int(np.clip(_FINEST * across, 64, 4096)))
 
 
 class _Run:
