@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
 FINER = 2
 """Places along a ray for each that it has in training. Where surfaces are cut moves with the camera: of the
-fox, F_ii on ρz is 1.02 times as large with 1 as with 4, 1.01 with 2; but 1.75 times with 1 and cells finer than
-a pixel sees."""
+fox, F_ii on ρz is 1.02 times as large with 1 as with 4, and 1.01 with 2; but 1.75 times with 1 and cells
+finer than what a pixel sees."""
 _NOTHING = 1e-3
 """Opacity below which nothing is seen that could have a depth."""
 
