@@ -111,10 +111,10 @@ def test_colours_that_are_alike_tell_less() -> None:
 
 @pytest.mark.parametrize("parameters", [False, True])
 def test_errors_of_least_squares_have_it_and_not_the_bound(parameters: bool) -> None:
-    """400 estimates from residuals that are blurred and alike in colour; NEES in its 99.9 % band."""
+    """200 estimates from residuals that are blurred and alike in colour; NEES in its 99.9 % band."""
     view = with_gain_and_black(exact()) if parameters else exact()
     found = misspecified_covariance(view, Gaussian(SIGMA), blurred())
-    errors = estimates(view, drawn(400, 48, 64, seed=5))
+    errors = estimates(view, drawn(200, 48, 64, seed=5))
     band = stats.chi2.ppf([0.0005, 0.9995], 6 * len(errors)) / len(errors)
 
     def nees(covariance: np.ndarray) -> float:
@@ -169,7 +169,7 @@ def test_noise_of_the_columns_does_not_enter() -> None:
     clean, S = exact(), white(SIGMA**2 * COLOURS)
     truth = misspecified_covariance(clean, Gaussian(SIGMA), S)
     chi, unbiased, plain = [], [], []
-    for seed in range(12):
+    for seed in range(6):
         rng = np.random.default_rng(seed)
         noise = 0.5 * clean.batch_values.std(axis=(0, 1, 2)) * rng.standard_normal(clean.batch_values.shape)
         view = dataclasses.replace(clean, batch_values=clean.batch_values + noise)
@@ -182,7 +182,7 @@ def test_noise_of_the_columns_does_not_enter() -> None:
             kept.append(np.trace(each.middle.matrix @ np.linalg.inv(truth.middle.matrix)) / 6.0)
     # Errors of F and of M largely cancel here, and are added as if they were independent.
     assert 0.02 < np.mean(np.square(chi)) < 1.5
-    assert abs(np.mean(unbiased) - 1.0) < 0.01
+    assert abs(np.mean(unbiased) - 1.0) < 0.015
     assert np.mean(plain) > 1.04
 
 
