@@ -109,7 +109,7 @@ def test_colours_that_are_alike_tell_less() -> None:
     np.testing.assert_allclose(known.ratios, 1.0, rtol=1e-9)
 
 
-@pytest.mark.parametrize("parameters", [False, True])
+@pytest.mark.parametrize("parameters", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_errors_of_least_squares_have_it_and_not_the_bound(parameters: bool) -> None:
     """200 estimates from residuals that are blurred and alike in colour; NEES in its 99.9 % band."""
     view = with_gain_and_black(exact()) if parameters else exact()
@@ -164,6 +164,7 @@ def test_of_the_views_own_residuals_it_is_nothing() -> None:
     assert np.all(own < 1e-12 * np.diagonal(inverse))
 
 
+@pytest.mark.slow
 def test_noise_of_the_columns_does_not_enter() -> None:
     """Batches with errors of their own: unbiased, and within the stated standard errors; J̄ᵀWSWJ̄ is not."""
     clean, S = exact(), white(SIGMA**2 * COLOURS)

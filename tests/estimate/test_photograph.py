@@ -72,6 +72,7 @@ def nees(found: Alignment, pose: Any) -> float:
     return float(error @ np.linalg.inv(found.bound.covariance + found.added) @ error)
 
 
+@pytest.mark.slow
 def test_gain_black_and_pose_are_found_together(wall: Any, truth: Any) -> None:
     image, pose = truth
     gains = np.array([1.3, 0.7, 1.0])
@@ -349,6 +350,7 @@ def test_photographs_that_cannot_stand_beside_a_bound_are_one_line(
     assert words in err
 
 
+@pytest.mark.slow
 def test_a_photograph_of_something_else_is_not_aligned(
     scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -93,6 +93,7 @@ def test_flow_and_divergence_are_those_of_the_camera(lens: str) -> None:
         assert np.all(np.abs(closed((0.0, 0.0), 1.0) - divergence) < 1e-4 * np.abs(divergence).max())
 
 
+@pytest.mark.slow
 @every_lens
 def test_information_is_that_of_finite_differences(lens: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Within 4 combined standard errors of some 3 %, and 2 % for the step; not without D'.

@@ -113,7 +113,7 @@ def test_so_they_do_through_a_curve(noise_at):
         (8, 1.0, 0.72),
         (8, 3.0, 1.0),
         (10, 1.0, 0.3),
-        (10, 0.3, 4.0),
+        pytest.param(10, 0.3, 4.0, marks=pytest.mark.slow),
     ],
 )
 def test_photons_codes_tell_the_exact_sum(bits, gain, read):

@@ -79,6 +79,7 @@ def test_it_learns_and_its_file_holds_all_of_it(capture: Capture, tmp_path: Path
     json.dumps(again.provenance())
 
 
+@pytest.mark.slow
 def test_what_was_interrupted_goes_on_as_if_it_had_not(
     capture: Capture, tmp_path: Path, one_thread: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
