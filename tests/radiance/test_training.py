@@ -289,9 +289,10 @@ def test_a_trained_field_shows_views_it_has_not_seen_and_its_columns_are_differe
         assert np.abs(shown.opacity - opaque).mean() < 0.03
     assert np.nanmedian(shown.depth[opaque > 0.99]) == pytest.approx(2.5, abs=0.2)
     columns = field.columns(camera, pose, pixels)[1]
-    for k, step in enumerate([1e-3] * 3 + [3e-4] * 3):
+    step = 1e-4  # a thousandth of a pixel: slopes jump where cells meet, and a step crosses some
+    for k in range(6):
         twist = step * np.eye(6)[k]
         ahead, back = (field.show(camera, pose @ se3.exp(s * twist), pixels).values for s in (1.0, -1.0))
         wanted, found = (ahead - back) / (2.0 * step), columns[..., k]
         assert (found * wanted).sum() / (found**2).sum() == pytest.approx(1.0, abs=0.01)
-        assert np.corrcoef(found.ravel(), wanted.ravel())[0, 1] > 0.995  # slopes jump where cells meet
+        assert np.corrcoef(found.ravel(), wanted.ravel())[0, 1] > 0.999
