@@ -77,7 +77,7 @@ def columns(file: str) -> None:
         depth = float(np.nanmedian(shown.depth))
         found = field.columns(camera, pose, pixels)[1]
         print(f"{field.viewpoints[k].name}: median depth {depth:.3g}")
-        for motion in (0.1, 0.03, 0.01):
+        for motion in (0.03, 0.01, 0.003):
             angles = camera.angles(motion)
             steps = np.concatenate([angles[:2] * depth, [angles[0] * depth], angles])
             words = []
