@@ -133,6 +133,7 @@ def _left_half() -> Any:
     return mask
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("before", "change", "message"),
     [

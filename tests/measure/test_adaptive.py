@@ -110,6 +110,7 @@ def test_no_choice_made_on_the_way_biases_the_information() -> None:
     np.testing.assert_allclose(said, entries.var(axis=0, ddof=1), rtol=0.6)
 
 
+@pytest.mark.slow
 def test_a_budget_is_kept_and_what_was_not_reached_is_said() -> None:
     bound = pose_bound(lit(), SIGMA, precision=0.001, max_spp=64)
     said = bound.provenance["sampling"]

@@ -50,6 +50,7 @@ def test_the_average_at_the_mean_is_the_information_itself():
     assert np.abs(average.covariance_of_entries).max() < 1e-20 * information.matrix.max() ** 2
 
 
+@pytest.mark.slow
 def test_a_narrow_prior_gives_the_local_bound_with_that_prior():
     """Within 4 standard errors of F(x̄) + P, entry by entry."""
     view = {**textured_wall(), "camera": camera(16, 12), "wall": wall(texture(cells=16))}

@@ -130,6 +130,7 @@ def test_without_a_number_of_paths_it_goes_on_until_it_can_tell(
         check_jacobian(boxes, precision=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.BlindSpotWarning")
 def test_a_disagreement_that_few_paths_show_needs_no_more() -> None:
     found = check_jacobian(scene(wall=wall(texture(filter_type="nearest"))), batches=4, **FORWARD)
@@ -143,6 +144,7 @@ def test_too_few_samples_are_inconclusive() -> None:
     assert check.detectable > 0.05
 
 
+@pytest.mark.slow
 def test_columns_that_nobody_sees_do_not_count() -> None:
     plain = check_jacobian(scene(wall=wall()), spp=16, **FORWARD)
     assert plain.verdict == "inconclusive"
@@ -178,6 +180,7 @@ def test_steps_that_disagree_decide_nothing(monkeypatch: pytest.MonkeyPatch) -> 
     assert np.all(np.isinf(check.reference_bias))  # of z because the longer step is cut
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("pixels", "method"), [("random:0.5", "forward"), ("gradient:0.5", "flow")])
 def test_all_methods_measure_the_same_of_some_pixels(pixels: str, method: str) -> None:
     """Other pixels, row by row, would differ by √2; what is left here is the noise of 96 paths."""
@@ -186,6 +189,7 @@ def test_all_methods_measure_the_same_of_some_pixels(pixels: str, method: str) -
     assert np.all(check.rows[0].difference < 0.1)
 
 
+@pytest.mark.slow
 def test_pixels_that_a_method_drops_are_left_out_of_its_comparison() -> None:
     """A texel of NaN spoils the pixels whose paths meet it, which are not the same for any two methods."""
     values = np.random.default_rng(0).uniform(0.1, 0.9, (64, 64, 3)).astype(np.float32)

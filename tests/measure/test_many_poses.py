@@ -50,6 +50,7 @@ def same(one: PoseBound, other: PoseBound) -> bool:
     return documents[0] == documents[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [FEW, {"size": (24, 18), "precision": 0.1}], ids=["spp", "precision"])
 def test_each_bound_is_that_of_its_pose_alone(options: dict[str, Any]) -> None:
     found = pose_bounds(WORLD, PATH, **options)

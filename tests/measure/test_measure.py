@@ -289,6 +289,7 @@ def test_radiance_that_is_no_number_is_counted_and_left_out_only_on_request() ->
     assert np.isfinite(jacobian.values).all()
 
 
+@pytest.mark.slow
 def test_a_measurement_that_fails_has_warned_before() -> None:
     with pytest.warns(BlindSpotWarning) as caught, pytest.raises(RadianceError):
         pose_bound(_half_invalid(), SIGMA, integrator=DIRECT, method="forward", spp=4)
@@ -423,6 +424,7 @@ MODELS: dict[str, NoiseModel] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "pixels"),
     [

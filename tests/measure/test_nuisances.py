@@ -82,6 +82,7 @@ def _sorted_columns(value: Any, names: tuple[str, ...], **options: Any) -> np.nd
 class TestFilm:
     names = ("fov", "principal_point")
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("rfilter", ["gaussian", pytest.param("box", marks=pytest.mark.slow)])
     def test_columns_are_finite_differences_of_renders(self, rfilter: str) -> None:
         """Within 4 %: Monte Carlo about 1 %, and the difference's own bias of 1.5 % at 0.2 pixels."""

@@ -226,6 +226,7 @@ class TestProcesses:
         other = load_team(written(tmp_path, "[measure]\nsize = [32, 24]\nseed = 1\n"))
         assert team.options(team.members[0])["seed"] != other.options(other.members[0])["seed"]
 
+    @pytest.mark.slow
     def test_an_error_names_its_agent(self, tmp_path: Path) -> None:
         path = written(tmp_path, agents=("racks", "dukt"))
         with pytest.raises(SensorError, match=r"agent 'dukt': .*no sensor"):
@@ -476,6 +477,7 @@ def test_depth_cameras_fuse_and_send_tiles_beside_cameras_of_colour(tmp_path: Pa
     assert [tile.agent for tile in chosen.selection.chosen] == ["racks", "shutter"]
 
 
+@pytest.mark.slow
 def test_an_agent_whose_noise_couples_pixels_fuses_but_sends_no_tiles(tmp_path: Path) -> None:
     table = "{ model = 'low_rank_plus_diagonal', variance = 'v.npy', modes = 'm.npy' }"
     np.save(tmp_path / "v.npy", np.full((24, 32, 3), 1e-4))
