@@ -49,25 +49,23 @@ def scenes() -> Path:
 @pytest.fixture
 def real_scenes() -> Path:
     """Scenes by others; tests that need them are skipped where they are absent."""
-    folder = ROOT.parent / "shared" / "data" / "mitsuba"
-    if not folder.is_dir():
-        pytest.skip("needs ../shared/data/mitsuba")
-    return folder
+    return _by_others("mitsuba")
 
 
 @pytest.fixture
 def captures() -> Path:
     """Posed photographs by others; tests that need them are skipped where they are absent."""
-    folder = ROOT.parent / "shared" / "data" / "multiview"
-    if not folder.is_dir():
-        pytest.skip("needs ../shared/data/multiview")
-    return folder
+    return _by_others("multiview")
 
 
 @pytest.fixture
 def gaussians() -> Path:
     """Splats by others; tests that need them are skipped where they are absent."""
-    folder = ROOT.parent / "shared" / "data" / "gaussians"
+    return _by_others("gaussians")
+
+
+def _by_others(kind: str) -> Path:
+    folder = ROOT.parent / "shared" / "data" / kind
     if not folder.is_dir():
-        pytest.skip("needs ../shared/data/gaussians")
+        pytest.skip(f"needs ../shared/data/{kind}")
     return folder

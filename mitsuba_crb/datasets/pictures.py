@@ -96,7 +96,7 @@ def comparable(
         AlignmentError: another shape, an unknown encoding, or an image that shows nothing.
     """
     (width, height), (across, down) = size, picture.size
-    if abs(width * down - height * across) >= max(across, down, width, height):
+    if not same_shape(size, picture.size):
         raise AlignmentError(
             f"{picture.file} has {across}x{down} pixels, which is another shape than the camera's "
             f"{width}x{height}: crop it, or give its camera (--camera)"
@@ -120,6 +120,12 @@ def comparable(
         masked=int(np.count_nonzero(share < _WHOLE)),
         saturated=int(np.count_nonzero((share >= _WHOLE) & ~whole)),
     )
+
+
+def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether two sizes are of one shape, as nearly as whole pixels can be."""
+    (width, height), (across, down) = size, other
+    return abs(width * down - height * across) < max(across, down, width, height)
 
 
 def averaged(values: NDArray[Any], size: tuple[int, int]) -> Array:

@@ -24,7 +24,7 @@ from ..datasets.pictures import Comparable, Encoding, comparable, read_picture
 from ..errors import AlignmentError, OutOfViewError
 from ..files import Record
 from ..measure.held_out import HeldOut, held_out_residuals
-from ..measure.likeness import LEAST_GAIN_DB, POOR_DB
+from ..measure.likeness import LEAST_GAIN_DB, POOR_DB, psnr_db
 from ..measure.opening import as_world, open_measurable, wanted
 from ..measure.options import MeasurementKeywords, MeasurementOptions
 from ..measure.stations import Station, named
@@ -265,5 +265,4 @@ def _likeness(measured: Array, image: Array, *, display: bool) -> tuple[float, f
         return inside if display else np.asarray(SRGB(inside))
 
     means = [float(np.mean((shown(values) - shown(other)) ** 2)) for other in (render, even)]
-    psnr, even_psnr = (-10.0 * math.log10(mean) if mean > 0.0 else math.inf for mean in means)
-    return psnr, even_psnr
+    return psnr_db(means[0]), psnr_db(means[1])

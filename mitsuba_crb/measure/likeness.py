@@ -18,11 +18,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..datasets.pictures import averaged, same_shape
 from ..errors import CaptureError
 from ..files import read_colours
 from ..jacobian.method import Paths
@@ -87,7 +87,12 @@ def likeness(image: Array, photograph: Array, opacity: Array) -> Likeness:
             fitted = columns @ np.linalg.lstsq(root[:, None] * columns, root * seen, rcond=None)[0]
             kind.append(SRGB(np.clip(fitted, 0.0, 1.0)) - SRGB(seen))
     means = [float(np.average(np.mean(np.square(kind), axis=0), weights=weight)) for kind in errors]
-    return Likeness(*(-10.0 * math.log10(mean) if mean > 0.0 else math.inf for mean in means))
+    return Likeness(*map(psnr_db, means))
+
+
+def psnr_db(mean_square: float) -> float:
+    """Of values from 0 to 1, by their mean squared difference; infinite where there is none [dB]."""
+    return -10.0 * math.log10(mean_square) if mean_square > 0.0 else math.inf
 
 
 def compared(view: Measurable, file: Path, seed: int) -> Likeness:
@@ -98,7 +103,7 @@ def compared(view: Measurable, file: Path, seed: int) -> Likeness:
     """
     colours = read_colours(file, CaptureError).astype(np.float64)
     (down, across), (width, height) = colours.shape[:2], view.size
-    if abs(width * down - height * across) >= max(across, down, width, height):
+    if not same_shape((width, height), (across, down)):
         return UNKNOWN
     factor = min(1.0, min(_SIDE, max(across, down)) / max(width, height))
     size = max(1, round(width * factor)), max(1, round(height * factor))
@@ -107,15 +112,7 @@ def compared(view: Measurable, file: Path, seed: int) -> Likeness:
     image = few.start_image(pixels, Paths(_SPP, seed, _BATCHES), purpose=_LIKENESS, even=True)().mean(axis=0)
     if view.white is not None:
         image = np.asarray(SRGB.inverse(np.clip(image / view.white, 0.0, 1.0)))
-    opacity = _averaged(colours[:, :, 3], size)
-    linear = [_averaged(colours[:, :, 3] * SRGB.inverse(colours[:, :, k]), size) for k in range(3)]
+    opacity = averaged(colours[:, :, 3], size)
+    linear = [averaged(colours[:, :, 3] * SRGB.inverse(colours[:, :, k]), size) for k in range(3)]
     photograph = np.stack(linear, axis=2) / np.maximum(opacity, 1e-6)[:, :, None]
     return likeness(image.reshape(size[1], size[0], 3), np.clip(photograph, 0.0, 1.0), opacity)
-
-
-def _averaged(values: NDArray[Any], size: tuple[int, int]) -> Array:
-    """(H, W) values in fewer pixels, each the mean of what it covers."""
-    from PIL import Image
-
-    picture = Image.fromarray(np.asarray(values, dtype=np.float32))
-    return np.asarray(picture.resize(size, Image.Resampling.BOX), dtype=np.float64)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..camera import Camera, Intrinsics
 from ..datasets.photographs import Capture, Photograph
+from ..datasets.pictures import averaged
 from ..errors import CameraError, CaptureError
 from .field import Viewpoint
 from .scene_space import SceneSpace
@@ -134,23 +135,13 @@ def _read(photograph: Photograph, size: tuple[int, int]) -> tuple[NDArray[np.uin
     colours = photograph.colours()
     alpha = replace(photograph, mask=None).opacity()
     kept = photograph.opacity() >= 0.5 * alpha  # everything, without a mask
-    alpha_small = _shrunk(alpha, size)
-    premultiplied = [_shrunk(colours[:, :, k] * alpha, size) for k in range(3)]
+    alpha_small = averaged(alpha, size).astype(np.float32)
+    premultiplied = [averaged(colours[:, :, k] * alpha, size).astype(np.float32) for k in range(3)]
     over = np.maximum(alpha_small, 1e-6)
     values = np.stack([*(part / over for part in premultiplied), alpha_small], axis=-1)
     rounded = np.clip(np.rint(values * 255.0), 0.0, 255.0).astype(np.uint8)
-    hidden = _shrunk(kept.astype(np.float32), size) < 0.5
+    hidden = averaged(kept, size) < 0.5
     return rounded.reshape(-1, 4), hidden.ravel()
-
-
-def _shrunk(channel: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
-    """(h, w) by the mean of what falls into each pixel."""
-    from PIL import Image
-
-    if channel.shape == (size[1], size[0]):
-        return channel
-    image = Image.fromarray(np.ascontiguousarray(channel, dtype=np.float32))
-    return np.asarray(image.resize(size, Image.Resampling.BOX), dtype=np.float32)
 
 
 def _directions(intrinsics: Intrinsics) -> NDArray[np.float32]:
