@@ -244,7 +244,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--quick", action="store_true", help="to 5 %, four seconds a measurement")
+    parser.add_argument("--quick", action="store_true", help="to 5 %%, four seconds a measurement")
     parser.add_argument("--target", type=float, default=0.007, help="combined relative standard error")
     parser.add_argument("--seconds", type=float, default=120.0, help="of one measurement")
     parser.add_argument("--minutes", type=float, default=np.inf, help="of all")
