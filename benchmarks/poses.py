@@ -4,7 +4,8 @@
     python benchmarks/poses.py --poses 20       # a short look
 
 warm: `pose_bound` at each pose in this process, the scene loaded and its kernels traced; it alternates with
-`pose_table`, both the same poses, in chunks. separate: a process of `mitsuba-crb bound` for each of a sample
+`pose_table`, both the same poses, in chunks. Seconds are the processor's, of all threads, which a busy
+machine changes less than those of the clock. separate: a process of `mitsuba-crb bound` for each of a sample
 of the poses, scaled to all of them. The target is at most 1.1 times the warm bounds.
 """
 
@@ -30,6 +31,7 @@ ROOT = Path(__file__).parents[1]
 SCENE = ROOT / "scenes" / "textured_room" / "textured_room.xml"
 SIZE = (128, 96)
 SAMPLE = 3
+CHUNK = 25
 
 
 def path(count: int) -> np.ndarray:
@@ -46,51 +48,55 @@ def path(count: int) -> np.ndarray:
 
 
 def separate(pose: np.ndarray) -> float:
-    """Seconds of a process."""
+    """Processor seconds of a process."""
     command = [sys.executable, "-c", "from mitsuba_crb.cli.app import main; main()", "bound", str(SCENE)]
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "pose.npy"
         np.save(file, pose)
-        start = time.perf_counter()
+        before = os.times()
+        begin = before.children_user + before.children_system
         subprocess.run(
             [*command, "--size", "x".join(map(str, SIZE)), "--pose", str(file)],
             env={**os.environ, "PYTHONPATH": str(ROOT)},
             stdout=subprocess.DEVNULL,
             check=True,
         )
-        return time.perf_counter() - start
+        after = os.times()
+        return after.children_user + after.children_system - begin
 
 
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--poses", type=int, default=200)
-    parser.add_argument("--repeats", type=int, default=3)
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
     poses = path(arguments.poses)
     loaded, _ = as_scene(SceneFile(SCENE), wanted(MeasurementOptions(size=SIZE)))
     pose_bound(loaded, pose=poses[0], size=SIZE)  # traces
     times: dict[str, list[float]] = {"many": [], "warm": []}
-    for _ in range(arguments.repeats):
-        start = time.perf_counter()
-        table = pose_table(loaded, poses, size=SIZE)
-        times["many"].append(time.perf_counter() - start)
-        start = time.perf_counter()
-        for pose in poses:
+    rows = []
+    for first in range(0, len(poses), CHUNK):
+        chunk = poses[first : first + CHUNK]
+        start = time.process_time()
+        rows += pose_table(loaded, chunk, size=SIZE).rows
+        times["many"].append(time.process_time() - start)
+        start = time.process_time()
+        for pose in chunk:
             pose_bound(loaded, pose=pose, size=SIZE)
-        times["warm"].append(time.perf_counter() - start)
+        times["warm"].append(time.process_time() - start)
     sample = [separate(pose) for pose in poses[:: max(1, len(poses) // SAMPLE)][:SAMPLE]]
-    many, warm = (float(np.median(times[name])) for name in ("many", "warm"))
+    many, warm = (sum(times[name]) for name in ("many", "warm"))
+    ratios = np.divide(times["many"], times["warm"])
     alone = float(np.mean(sample)) * len(poses)
     row = {
         "poses": len(poses),
         "many [s]": round(many, 2),
         "warm [s]": round(warm, 2),
-        "many / warm": round(float(np.median(np.divide(times["many"], times["warm"]))), 3),
+        "many / warm": f"{many / warm:.3f}, chunks {ratios.min():.3f} to {ratios.max():.3f}",
         f"separate, of {len(sample)} [s]": round(alone, 1),
         "many / separate": round(many / alone, 3),
-        "rank 6": sum(one.rank == 6 for one in table.rows),
-        "largest relative error": round(float(np.nanmax([r.relative_standard_error for r in table.rows])), 3),
+        "rank 6": sum(one.rank == 6 for one in rows),
+        "largest relative error": round(float(np.nanmax([r.relative_standard_error for r in rows])), 3),
     }
     for name, value in row.items():
         print(f"{name:28} {value}")
