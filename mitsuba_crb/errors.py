@@ -95,6 +95,10 @@ class OutputError(MitsubaCRBError):
     """An output file cannot be written; checked before anything is rendered."""
 
 
+class StoreError(MitsubaCRBError):
+    """A store of views is missing, damaged, of other settings, or what reads it is not installed."""
+
+
 class DocumentError(MitsubaCRBError):
     """A document is not what `to_dict` of this class writes: of another class or layout, or damaged."""
 
