@@ -9,52 +9,27 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
-import math
-import os
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, Unpack
 
-import numpy as np
-
 from ..bound.cramer_rao import PoseBound
 from ..bound.prior import load_prior
-from ..errors import NoiseError, SceneWarning
-from ..files import jsonable
 from ..noise import NoiseModel
-from ..render.fingerprint import mask_fingerprint
 from ..render.lending import in_turn
 from ..render.scene import SceneFile
 from ..se3 import Array, Frame
-from .exposure import exposed, start_metering
 from .likeness import UNKNOWN, Likeness
-from .measurable import method_of
-from .nuisances import name_parameters
-from .opening import as_world, fingerprint, kind_of, wanted
-from .options import MeasurementKeywords, MeasurementOptions
-from .pose import pose_bound
+from .many import Shared, common_white, load_shared, said, shared_settings, with_white
+from .options import MeasurementKeywords
 from .pose_table import PoseRow, PoseTable
-from .sensing import DEPTH
-from .stations import Station, named, open_stations, photograph_likenesses, stations_of
-from .versions import versions
+from .stations import Station, photograph_likenesses, stations_of
 
 if TYPE_CHECKING:
     from ..camera import Intrinsics
 
 Progress = Callable[[int, int], None]
 """Called after each pose with the poses done and all of them."""
-
-_POOLED = 1 << 14
-"""Pixels that the exposure is taken from, at least."""
-_COARSEST = 16
-_BLACK = 1.0
-"""White of a camera that sees nothing anywhere: its information is zero whatever that is."""
-_LONGEST = 200
-"""Letters of a setting that is told as it is; of a longer one its fingerprint."""
-_INDIFFERENT = ("pose", "tile", "on_tile", "on_progress", "on_round")
-"""Options that no row depends on."""
 
 
 class PoseRecord(Protocol):
@@ -106,9 +81,9 @@ def pose_bounds(
         SceneWarning: all images are black, and why.
     """
     stations = stations_of(poses, None, cameras, options)
-    loaded, _ = _loaded(scene, nuisances, stations, options)
-    white = _white(loaded, stations, noise, options)
-    shared = _Shared(loaded, noise, prior, nuisances, _exposed(options, white))
+    loaded, _ = load_shared(scene, nuisances, stations, options)
+    white = common_white(loaded, stations, noise, options)
+    shared = Shared(loaded, noise, prior, nuisances, with_white(options, white))
     found = []
     for index, station in enumerate(stations):
         found.append(shared.bound(station))
@@ -160,39 +135,29 @@ def pose_table(
     stations = stations_of(poses, names, cameras, options)
     source = SceneFile(scene, dict(defines or {})) if isinstance(scene, str | Path) else scene
     known = load_prior(prior) if isinstance(prior, Path) else prior
-    loaded, label = _loaded(source, nuisances, stations, options)
-    kind = kind_of(loaded)
+    loaded, label = load_shared(source, nuisances, stations, options)
     likeness = [UNKNOWN] * len(stations)
     if photographs is not None:
         likeness = photograph_likenesses(loaded, stations, photographs, options)
         if on_likeness is not None:
             on_likeness(likeness)
     settings = {
-        "scene": label,
-        "scene_contents": fingerprint(loaded, scene, defines),
-        "defines": dict(defines or {}),
+        **shared_settings(loaded, label, scene, defines, options, noise, prior, nuisances),
         "poses": {"count": len(stations), "contents": _poses_fingerprint(stations)},
-        **_options_said(options),
-        "method": method_of(kind.methods, options.get("method")).name,
-        **({"deterministic": True} if kind.deterministic else {}),
-        "cameras": None if cameras is None else _said([camera.to_dict() for camera in cameras]),
-        "photographs": None if photographs is None else _said(likeness),
-        "noise": _said(noise),
-        "prior": _said(prior),
-        "nuisances": list(nuisances),
+        "cameras": None if cameras is None else said([camera.to_dict() for camera in cameras]),
+        "photographs": None if photographs is None else said(likeness),
         "frame": frame,
-        "versions": versions(),
     }
     before = record.earlier() if record is not None else None
     if before is not None and before.get("white") is not None:
         settings["white"] = before["white"]  # of the same poses, if all else is the same
     else:
-        settings["white"] = _white(loaded, stations, noise, options)
+        settings["white"] = common_white(loaded, stations, noise, options)
     rows = record.resume(settings, [station.pose for station in stations]) if record is not None else {}
     facts = {"scene": label, "defines": settings["defines"]}
     if isinstance(prior, Path):
         facts["prior"] = str(prior)
-    shared = _Shared(loaded, noise, known, nuisances, _exposed(options, settings["white"]))
+    shared = Shared(loaded, noise, known, nuisances, with_white(options, settings["white"]))
     if on_pose is not None:
         on_pose(len(rows), len(stations))
     try:
@@ -212,101 +177,6 @@ def pose_table(
             raise
     places = tuple(sorted(rows))
     return PoseTable(tuple(rows[place] for place in places), places, len(stations), settings)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Shared:
-    """What the bounds of all poses are measured with."""
-
-    scene: Any
-    noise: NoiseModel | None
-    prior: Any
-    nuisances: Sequence[str]
-    options: MeasurementKeywords
-
-    def bound(self, station: Station) -> PoseBound:
-        """At one pose.
-
-        Raises:
-            KeyboardInterrupt: also where `pose_bound` would have answered with what it had.
-        """
-        options: MeasurementKeywords = station.options(self.options)
-        with warnings.catch_warnings():  # they stand in the provenance
-            warnings.simplefilter("ignore")
-            with named(station):
-                try:
-                    found = self._measured(options)
-                except NoiseError:
-                    if self.noise is not None or options.get("exposure") != "auto":
-                        raise
-                    found = self._measured({**options, "exposure": _BLACK})  # black, and set by itself
-        if found.provenance.get("sampling", {}).get("interrupted"):
-            raise KeyboardInterrupt
-        return found
-
-    def _measured(self, options: MeasurementKeywords) -> PoseBound:
-        return pose_bound(self.scene, self.noise, prior=self.prior, nuisances=self.nuisances, **options)
-
-
-def _loaded(
-    scene: Any, nuisances: Sequence[str], stations: Sequence[Station], options: MeasurementKeywords
-) -> tuple[Any, str]:
-    first = MeasurementOptions(**stations[0].options(options))
-    asked = dataclasses.replace(wanted(first), apart=name_parameters(nuisances))
-    return as_world(scene, asked)
-
-
-def _exposed(options: MeasurementKeywords, white: float | None) -> MeasurementKeywords:
-    return options if white is None else {**options, "exposure": white}
-
-
-def _white(
-    loaded: Any, stations: Sequence[Station], noise: NoiseModel | None, options: MeasurementKeywords
-) -> float | None:
-    """That of the default camera, from all poses' pixels if they do not say; None if it is not asked for.
-
-    The more poses, the fewer pixels of each.
-    """
-    if noise is not None or options.get("exposure") is not None or options.get("measure") == DEPTH:
-        return None
-    white = kind_of(loaded).white
-    if white is not None:
-        return white
-    side = max(_COARSEST, math.ceil(math.sqrt(_POOLED / len(stations))))
-    seed = MeasurementOptions(**options).seed
-    with open_stations(loaded, stations, options) as opened:
-        views = list(opened)
-        parts = [start_metering(view, seed, side)().reshape(2, -1) for view in views]
-        # In an order that is not that of the poses, for sums of floats depend on it.
-        found = exposed(*np.concatenate(sorted(parts, key=lambda part: part.tobytes()), axis=1))
-        if found is None:
-            why = views[0].nothing_visible(black=True)
-            warnings.warn(f"every image is black; of the first, {why}", SceneWarning, stacklevel=3)
-    return _BLACK if found is None else found.white
-
-
-def _options_said(options: MeasurementKeywords) -> dict[str, Any]:
-    """The options that rows depend on, with their defaults, JSON-able."""
-    given = MeasurementOptions(**options)
-    names = [field.name for field in dataclasses.fields(given) if field.name not in _INDIFFERENT]
-    return {name: _said(getattr(given, name)) for name in names}
-
-
-def _said(value: Any) -> Any:
-    """A setting as JSON can hold it; of what is long, and of files, a fingerprint."""
-    if isinstance(value, np.ndarray):
-        return mask_fingerprint(value)
-    if isinstance(value, str | Path) and os.path.isfile(value):
-        return {"file": str(value), "contents": hashlib.sha256(Path(value).read_bytes()).hexdigest()[:16]}
-    try:
-        plain = jsonable(value.to_dict() if hasattr(value, "to_dict") else value)
-        text = json.dumps(plain)
-    except (TypeError, ValueError):
-        plain = text = str(value)
-    if len(text) <= _LONGEST:
-        return plain
-    kind = {"model": plain["model"]} if isinstance(plain, dict) and "model" in plain else {}
-    return {**kind, "contents": hashlib.sha256(text.encode()).hexdigest()[:16]}
 
 
 def _poses_fingerprint(stations: Sequence[Station]) -> str:

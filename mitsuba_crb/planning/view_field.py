@@ -57,12 +57,12 @@ class ViewField:
     @property
     def done(self) -> NDArray[np.bool_]:
         """(n,) whether its values are there."""
-        return np.equal(self._values(DONE), 1)
+        return self._values(DONE).astype(np.bool_)
 
     @property
     def usable(self) -> NDArray[np.bool_]:
         """(n,) whether there is a bound, if only an infinite one: measured, not inside nor blocked."""
-        return np.logical_and(self.done, self.status == MEASURED)
+        return np.asarray(self.done & (self.status == MEASURED), dtype=np.bool_)
 
     @property
     def interrupted(self) -> bool:

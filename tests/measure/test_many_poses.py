@@ -208,7 +208,7 @@ def test_an_interrupted_run_goes_on_where_it_stopped() -> None:
 
 
 def test_an_answer_of_an_interrupted_round_is_no_row(monkeypatch: pytest.MonkeyPatch) -> None:
-    from mitsuba_crb.measure import poses as module
+    from mitsuba_crb.measure import many as module
 
     calls = []
 
