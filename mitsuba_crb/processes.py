@@ -34,8 +34,13 @@ def cores() -> int:
 
 
 def is_worker() -> bool:
-    """Whether this process was started by `in_processes`."""
+    """Whether this process is one of several that share the cores."""
     return bool(_share)
+
+
+def keep_to(share: int) -> None:
+    """This process is a worker, and has so many cores for itself."""
+    _share[:] = [share]
 
 
 def in_processes(
@@ -70,16 +75,22 @@ def in_processes(
     ) as pool:
         with _interrupts_ignored():
             futures = {pool.submit(work, job): index for index, job in enumerate(jobs)}
+        died: BrokenProcessPool | None = None
         try:
             for future in as_completed(futures):
-                yield futures[future], future.result()
-        except BrokenProcessPool as error:
+                try:
+                    result = future.result()
+                except BrokenProcessPool as error:
+                    died = error  # others have answered before
+                    continue
+                yield futures[future], result
+        finally:
+            pool.shutdown(cancel_futures=True)
+        if died is not None:
             raise WorkerError(
                 "a worker process ended before it had answered; with too little memory, use fewer --workers "
                 "or a smaller size"
-            ) from error
-        finally:
-            pool.shutdown(cancel_futures=True)
+            ) from died
 
 
 @contextmanager
@@ -96,7 +107,7 @@ def _interrupts_ignored() -> Iterator[None]:
 
 
 def _begin(share: int, prepare: Callable[[], object] | None) -> None:
-    _share[:] = [share]
+    keep_to(share)
     # Ctrl-C reaches all processes of a terminal: the parent says so, once.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     # A parent that is killed cannot say so: its workers would wait for ever.
