@@ -148,7 +148,7 @@ class FieldView:
             NuisanceError: it is none of them, with what may have been meant; or as `map_nuisance`.
         """
         if name in UNKNOWNS:
-            return map_nuisance(self.field, name, self.camera, self.pose, _cameras(self.field)[0])
+            return map_nuisance(self.field, name, self.camera, self.pose, cameras_of(self.field)[0])
         known = ("gain", "black", *FILM_NAMES, *UNKNOWNS)
         near = get_close_matches(name.partition(":")[0], known, 4, 0.5)
         raise NuisanceError(
@@ -228,7 +228,7 @@ def open_field_view(field: Field, options: MeasurementOptions) -> Iterator[Field
         yield view if photograph is None else _beside_its(photograph, view)
 
 
-def _cameras(field: Field) -> tuple[Sequence[Viewpoint], Sequence[Path | None]]:
+def cameras_of(field: Field) -> tuple[Sequence[Viewpoint], Sequence[Path | None]]:
     """The cameras that a field comes with, and the photographs that were taken by them.
 
     Raises:
@@ -247,7 +247,7 @@ def _cameras(field: Field) -> tuple[Sequence[Viewpoint], Sequence[Path | None]]:
 
 def _viewpoint(field: Field, which: int | str) -> tuple[Viewpoint, Path | None]:
     """A camera that a field comes with, and the photograph that was taken by it."""
-    viewpoints, photographs = _cameras(field)
+    viewpoints, photographs = cameras_of(field)
     names = [viewpoint.name for viewpoint in viewpoints]
     index = find(names, which)
     if index is None or not -len(names) <= index < len(names):
