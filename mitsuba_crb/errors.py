@@ -99,6 +99,10 @@ class StoreError(MitsubaCRBError):
     """A store of views is missing, damaged, of other settings, or what reads it is not installed."""
 
 
+class PlanError(MitsubaCRBError):
+    """Views or a path cannot be planned: a view, a place, a budget, a limit or an odometry is at fault."""
+
+
 class DocumentError(MitsubaCRBError):
     """A document is not what `to_dict` of this class writes: of another class or layout, or damaged."""
 

@@ -94,7 +94,7 @@ class TileSelection(Record):
     def bounded(self, upper_bound: float) -> TileSelection:
         """The same choice where `upper_bound` is known to hold, too."""
         bound = min(self.upper_bound, upper_bound)
-        certificate = _certificate(self.value, self.value_empty, bound)
+        certificate = certified(self.value, self.value_empty, bound)
         return replace(self, upper_bound=bound, certificate=certificate)
 
     def __str__(self) -> str:
@@ -176,15 +176,16 @@ def select_tiles(
         value_heldout=held_out,
         value_empty=empty,
         upper_bound=bound,
-        certificate=_certificate(value, empty, bound),
-        guarantee=_guarantee(simple, criterion),
+        certificate=certified(value, empty, bound),
+        guarantee=guaranteed(simple, criterion),
         baselines={name: Baseline(float(pair[0]), float(pair[1])) for name, pair in baselines.items()},
         total_bytes=int(problem.cost[list(choice.tiles)].sum()),
         evaluations=choice.evaluations,
     )
 
 
-def _certificate(value: float, empty: float, bound: float) -> float:
+def certified(value: float, empty: float, bound: float) -> float:
+    """At least this fraction of the best gain is reached, where no value exceeds `bound`."""
     return (value - empty) / (bound - empty) if bound > empty else 1.0
 
 
@@ -219,7 +220,8 @@ def _assembled(
     return Problem(base, projected, owner[fits], cost[fits], limits), tile[fits], report
 
 
-def _guarantee(problem: Problem, criterion: Criterion) -> float | None:
+def guaranteed(problem: Problem, criterion: Criterion) -> float | None:
+    """The fraction of the best gain that is certain beforehand, see the module; None if there is none."""
     limits = problem.limits
     if not criterion.submodular:
         return None
