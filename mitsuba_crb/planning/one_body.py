@@ -27,18 +27,24 @@ def body_at(point: ArrayLike) -> Array:
     return pose
 
 
-def seen_blocks(field: ViewField, views: NDArray[np.intp], body: Array) -> Array:
-    """(m, 6, 6), what is seen of the information of some views, about a body; unscaled."""
+def seen_roots(field: ViewField, views: NDArray[np.intp], body: Array) -> Array:
+    """R (m, 6, 6) with R Rᵀ what is seen of the information of some views, about a body; unscaled."""
     data = field.dataset
     scale = np.ones((len(views), 6))
     scale[:, :3] = data["length_scale"].values[views][:, None]
     F = scale[:, :, None] * data["information_camera"].values[views] * scale[:, None, :]
     values, vectors = np.linalg.eigh(F)
     seen = np.arange(6) >= 6 - field.rank[views][:, None]
-    root = vectors * np.sqrt(np.where(seen, np.maximum(values, 0.0), 0.0))[:, None, :] / scale[:, :, None]
+    roots = vectors * np.sqrt(np.where(seen, np.maximum(values, 0.0), 0.0))[:, None, :] / scale[:, :, None]
     moved = np.array([se3.adjoint(se3.inverse(pose) @ body) for pose in field.poses[views]]).reshape(-1, 6, 6)
-    root = moved.mT @ root
-    blocks: Array = root @ root.mT
+    found: Array = moved.mT @ roots
+    return found
+
+
+def seen_blocks(field: ViewField, views: NDArray[np.intp], body: Array) -> Array:
+    """(m, 6, 6), R Rᵀ of the same."""
+    roots = seen_roots(field, views, body)
+    blocks: Array = roots @ roots.mT
     return blocks
 
 

@@ -150,10 +150,13 @@ def small_dataset(
         status.append(TO_DO if view in to_do else state)
     candidates = {
         "kind": "grid",
+        "axes": np.eye(3).tolist(),
+        "up_axis": 1,
         "origin": origin,
+        "spacing": [spacing, 0.0, spacing],
         "shape": [shape[0], 1, shape[1]],
-        "spacing": spacing,
         "headings": headings,
+        "pitch_deg": [0.0],
     }
     return dataset_of(informations, place, heading, status, candidates=candidates)
 
