@@ -238,18 +238,18 @@ def test_a_prior_at_the_start_is_what_the_walk_begins_with(field: ViewField) -> 
     assert_as_simulated(field, plan, tight)
 
 
-def test_labels_that_are_left_out_are_said_and_bounded(large: ViewField) -> None:
-    smallest = plan_path(large, 0, 29, limit=1e-6, odometry=ODOMETRY, labels=1000).smallest_limit
-    codes = set()
-    for factor in (0.999, 1.001, 1.1):
-        exact = plan_path(large, 0, 29, limit=factor * smallest, odometry=ODOMETRY, labels=1000)
-        few = plan_path(large, 0, 29, limit=factor * smallest, odometry=ODOMETRY, labels=1)
-        assert exact.dropped == 0
-        assert few.dropped > 0
-        assert few.length_lower_limit <= exact.length <= few.length
-        assert few.exit_code == (0 if few.found else 3)
-        codes.add(few.exit_code)
-    assert codes == {0, 3}
+def test_labels_that_are_left_out_are_said_and_bounded() -> None:
+    field = small_field(**(SMALL | {"shape": (4, 4)}))
+    smallest = plan_path(field, 0, 15, limit=1e-6, odometry=ODOMETRY, labels=1000).smallest_limit
+    exact, few = (
+        plan_path(field, 0, 15, limit=1.001 * smallest, odometry=ODOMETRY, labels=labels)
+        for labels in (1000, 1)
+    )
+    assert exact.dropped == 0
+    assert few.dropped > 0
+    assert few.length_lower_limit <= exact.length < few.length
+    assert_as_simulated(field, few)
+    assert (few.exit_code, dataclasses.replace(few, places=()).exit_code) == (0, 3)
 
 
 def test_it_does_not_depend_on_where_the_world_has_its_origin(field: ViewField) -> None:
