@@ -19,6 +19,7 @@ from .align import align
 from .bound import bound
 from .check import check
 from .doctor import doctor
+from .export import export
 from .fuse import fuse
 from .outcome import complain
 from .select import select
@@ -33,7 +34,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="How precisely could any algorithm estimate this camera's pose from this image of this scene?",
 )
-for _command in (bound, align, check, fuse, select, validate, train, doctor):
+for _command in (bound, align, check, fuse, select, validate, train, export, doctor):
     app.command()(_command)
 
 

@@ -40,6 +40,7 @@ _PROVENANCE_KEYS = (
     "defines",
     "sensor",
     "camera",
+    "projection",
     "camera_scaled_from",
     "method",
     "spp",

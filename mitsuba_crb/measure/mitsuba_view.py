@@ -73,14 +73,20 @@ class MitsubaView(View):
         return visibility.nothing_lit(self) if black else visibility.nothing_visible(self)
 
     def provenance(self) -> dict[str, Any]:
-        """The integrator's name, the field of view [deg] along x and y, a calibration; what is measured."""
+        """The integrator's name, the camera's angles [deg] and pixels, a calibration; what is measured."""
         python = type(self.integrator).__module__ != "mitsuba"
         name = type(self.integrator).__name__ if python else self.integrator.class_name()
         lens = {} if self.calibration is None else {"camera": self.calibration.intrinsics.to_dict()}
         measures: dict[str, Any] = {"what": self.measured.name, "unit": self.measured.unit}
         if self.depth_map is not None:
             measures["pixels"] = self.depth_map.counts()
-        return {"measures": measures, "integrator": name, "fov_deg": self.camera.field_of_view_deg, **lens}
+        seen = {"fov_deg": self.camera.field_of_view_deg, "projection": self._projection}
+        return {"measures": measures, "integrator": name, **seen, **lens}
+
+    @property
+    def _projection(self) -> dict[str, list[float]]:
+        """Focal lengths and principal point [pixel]."""
+        return {"focal": self.camera.focal.tolist(), "centre": self.camera.centre.tolist()}
 
 
 @contextlib.contextmanager
