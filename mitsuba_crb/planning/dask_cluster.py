@@ -92,8 +92,11 @@ class DaskCluster:
         finally:
             with suppress(Exception):  # of a scheduler that is gone
                 self.client.cancel(list(waiting), force=True)
-            with suppress(Exception):
-                self.client.close(timeout=1)
+
+    def close(self) -> None:
+        """See `Executor`."""
+        with suppress(Exception):
+            self.client.close(timeout=1)
 
     def _workers(self) -> int:
         """How many there are.

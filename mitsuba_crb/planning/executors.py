@@ -25,6 +25,9 @@ class Executor(Protocol):
     def elsewhere(self) -> bool:
         """Whether in other processes, so that work, jobs and results are pickled."""
 
+    def close(self) -> None:
+        """Let go of whoever does them."""
+
     def run(self, work: Callable[[Any], T], jobs: Sequence[Any]) -> Generator[tuple[int, T]]:
         """The index and the result of every job, as they end.
 
@@ -44,6 +47,9 @@ class Here:
 
     elsewhere: bool = False
 
+    def close(self) -> None:
+        """See `Executor`."""
+
     def run(self, work: Callable[[Any], T], jobs: Sequence[Any]) -> Generator[tuple[int, T]]:
         """See `Executor`."""
         yield from ((index, work(job)) for index, job in enumerate(jobs))
@@ -55,6 +61,9 @@ class Processes:
 
     workers: int
     elsewhere: bool = True
+
+    def close(self) -> None:
+        """See `Executor`."""
 
     def run(self, work: Callable[[Any], T], jobs: Sequence[Any]) -> Generator[tuple[int, T]]:
         """See `Executor`."""

@@ -123,9 +123,7 @@ class FieldStore:
 
 
 def _unseen(variable: Variable, count: int) -> NDArray[Any]:
-    return np.full(
-        (count, *variable.shape), variable.unseen if variable.dtype == "f8" else int(variable.unseen)
-    )
+    return np.full((count, *variable.shape), variable.unseen, dtype=variable.dtype)
 
 
 def earlier(path: Path) -> ViewField | None:

@@ -30,6 +30,7 @@ from ..measure.options import MeasurementKeywords, MeasurementOptions
 from ..measure.stations import Station
 from ..measure.versions import versions
 from ..noise import NoiseModel
+from ..render.backend import use_mitsuba
 from ..render.lending import in_turn
 from ..render.random import derived_seed
 from ..render.scene import SceneFile
@@ -112,6 +113,7 @@ def measure_views(setup: Setup, views: Views) -> dict[str, NDArray[Any]]:
 def _open(setup: Setup, views: Views) -> Shared:
     me = this_worker()
     try:
+        use_mitsuba(setup.versions["variant"])
         own = versions()
         different = [
             f"{name} {own.get(name)}, not {version}"
