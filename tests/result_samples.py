@@ -54,6 +54,9 @@ from mitsuba_crb.measure.teams import TeamFusion, TeamSelection
 from mitsuba_crb.measure.tone import Tone
 from mitsuba_crb.noise import Gaussian
 from mitsuba_crb.noise.residuals import residual_covariance
+from mitsuba_crb.planning.next_view import NextViews
+from mitsuba_crb.planning.odometry import Odometry
+from mitsuba_crb.planning.path_search import PathPlan
 
 
 def samples() -> Iterator[Record]:
@@ -66,6 +69,7 @@ def samples() -> Iterator[Record]:
         _agents,
         _messages,
         _trials,
+        _plans,
         _findings,
     ):
         rng = np.random.default_rng(sum(made_of.__name__.encode()))
@@ -325,6 +329,53 @@ def alignment(rng: np.random.Generator) -> PhotographAlignment:
     held_out = HeldOut(("a", "b"), tuple(residuals), noise, (found.tone, found.tone))
     measured = Comparable(values, 4, 2)
     return PhotographAlignment(found, (near, far), measured, False, 28.0, 12.0, held_out, settings)
+
+
+def _plans(rng: np.random.Generator) -> Iterator[Record]:
+    poses, bounds = np.array([random_pose(rng) for _ in range(2)]), np.array([np.inf, 0.1, 0.1 / 3.0])
+    yield NextViews(
+        objective="lambda_min",
+        have=(),
+        chosen=(7, 2),
+        poses=poses,
+        position_bound=bounds,
+        position_bound_standard_error=0.1 * bounds,
+        rotation_bound_deg=bounds,
+        rotation_bound_deg_standard_error=np.array([np.nan, 0.1, 0.2]),
+        rank=(0, 5, 6),
+        value=3.0,
+        value_empty=1.0,
+        upper_bound=5.0,
+        certificate=0.5,
+        guarantee=None,
+        usable=12,
+        body=poses[0],
+        length_scale=2.0,
+        ridge=1.0,
+    )
+    odometry = Odometry(0.05, 1.0 / 3.0)
+    yield odometry
+    found = PathPlan(
+        start=0,
+        goal=3,
+        limit=0.1,
+        odometry=odometry,
+        places=(0, 3),
+        views=(1, 12),
+        poses=poses,
+        length=2.0,
+        shortest=2.0,
+        before=np.array([np.nan, 0.09]),
+        after=np.array([0.05, 0.04]),
+        smallest_limit=0.09,
+        dropped=0,
+        length_lower_limit=2.0,
+        dropped_below=0,
+        neighbourhood="places of the grid around each",
+    )
+    yield found
+    nothing = {"places": (), "views": (), "poses": poses[:0], "before": np.empty(0), "after": np.empty(0)}
+    yield dataclasses.replace(found, odometry=None, length=np.inf, smallest_limit=np.inf, **nothing)
 
 
 def _findings(rng: np.random.Generator) -> Iterator[Record]:

@@ -3,7 +3,7 @@
 Nothing heavy is imported before it is needed, so that `--help` answers at once and `doctor` works
 where Mitsuba does not load. Exit codes: 0; 2 for every mistake that has a message; 130 for Ctrl-C; 70 for
 an error that nobody foresaw; `check` has its own (0 agree, 1 disagree, 3 inconclusive), and so have
-`validate` and `align`.
+`path`, `validate` and `align`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ from .check import check
 from .doctor import doctor
 from .export import export
 from .fuse import fuse
+from .next_view import next_view
 from .outcome import complain
+from .path import path
 from .select import select
 from .train import train
 from .validate import validate
@@ -34,7 +36,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="How precisely could any algorithm estimate this camera's pose from this image of this scene?",
 )
-for _command in (bound, align, check, fuse, select, validate, train, export, doctor):
+for _command in (bound, align, check, fuse, select, next_view, path, validate, train, export, doctor):
     app.command()(_command)
 
 

@@ -201,6 +201,15 @@ Config = Annotated[
 Workers = Annotated[
     int | None, typer.Option(metavar="N", help="Processes that render; default: one per agent and core.")
 ]
+Store = Annotated[
+    Path, typer.Argument(metavar="STORE.zarr", help="A field of views, as `mitsuba-crb field` writes it.")
+]
+PlanPlot = Annotated[
+    Path | None,
+    typer.Option(
+        "--plot", metavar="FILE.png", help="Write a plan of the field with the answer, seen from above."
+    ),
+]
 JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write everything as JSON.")]
 Integrator = Annotated[
     str | None,
