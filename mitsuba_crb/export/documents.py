@@ -11,7 +11,7 @@ import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from ..files import atomic, jsonable
 from ..se3 import TWIST_ORDER, vector_from_pose
@@ -46,7 +46,9 @@ _PROVENANCE_KEYS = (
     "spp",
     "seed",
     "batches",
+    "sampling",
     "size",
+    "fov_deg",
     "pixels",
     "measures",
     "noise",
@@ -110,6 +112,9 @@ def fusion_document(team: Team, result: TeamFusion) -> dict[str, Any]:
             "name": agent.name,
             "rank": agent.rank,
             "share": agent.share,
+            "pose": bound.information.pose,
+            "unobserved": [vars(direction) for direction in bound.unobserved],
+            "ellipsoids": _ellipsoids(bound),
             **{key: bound.provenance.get(key) for key in (*_PROVENANCE_KEYS, "warnings")},
         }
         for agent, bound in zip(result.fusion.agents, result.bounds, strict=True)
@@ -175,6 +180,7 @@ def validation_document(result: Validation) -> dict[str, Any]:
     document = {
         "schema": SCHEMA,
         "settings": result.settings,
+        "bound": _bound(result.bound),
         "trials": len(result.trials),
         "converged": len(result.trials) - len(result.failed),
         "failed": result.failed,
@@ -274,6 +280,8 @@ def _bound(bound: PoseBound) -> dict[str, Any]:
             "position_std": "scene unit",
             "rotation_std_deg": "deg",
             "eigenvalues": "camera frame, translation in units of length_scale",
+            "ellipsoids.position": "scene unit, along world axes",
+            "ellipsoids.rotation": "deg, about camera axes",
             "unobserved.std_lower_limit": "as unobserved.direction, unit twist",
             "unobserved.direction": "camera frame, translation in units of length_scale",
         },
@@ -295,7 +303,22 @@ def _bound(bound: PoseBound) -> dict[str, Any]:
         "unobserved": [vars(direction) for direction in bound.unobserved],
         "weakest": None if bound.weakest is None else vars(bound.weakest),
         "optimality": vars(bound.optimality),
+        "ellipsoids": _ellipsoids(bound),
     }
+
+
+def _ellipsoids(bound: PoseBound) -> dict[str, Any]:
+    """Semi-axes at one standard deviation, longest first, their directions in rows, and their verdicts."""
+    found: dict[str, Any] = {}
+    kinds: tuple[Literal["position", "rotation"], ...] = ("position", "rotation")
+    for kind in kinds:
+        semi_axes, directions = bound.ellipsoid(kind)
+        found[kind] = {
+            "semi_axes": semi_axes,
+            "directions": directions.T,
+            "verdicts": bound.verdicts_along(kind, directions),
+        }
+    return found
 
 
 def _joint(joint: JointInformation) -> dict[str, Any]:

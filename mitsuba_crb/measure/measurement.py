@@ -344,7 +344,9 @@ class Measurement:
             # An image without noise is its own pilot.
             needed = not self.view.deterministic and (pilot or (noise is not None and noise.depends_on_mean))
             expected, error = self.expected.of(pixels, image, noise, paths.spp) if needed else (None, None)
-            tile = TileJacobian(values, pixels, image, others, expected, error, causes, step_bias).finite()
+            tile = TileJacobian(
+                values, pixels, image, others, expected, error, causes, step_bias, spp=paths.spp
+            ).finite()
             if noise is not None:
                 tile = tile.weighed(noise, self.told)
             invalid += len(pixels) - len(tile.pixels)

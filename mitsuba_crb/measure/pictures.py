@@ -42,13 +42,15 @@ class Pictures(Record):
     """`world_from_camera`, 4x4, the linearisation point."""
     length_scale: float
     """Median visible depth [scene unit]."""
+    paths: npt.NDArray[np.float32] | None = None
+    """(H, W) how many paths each pixel had; None where there are none, or nobody said."""
 
 
 class Gathering:
     """Takes tiles as they are measured, keeps of each what `Pictures` need, and composes them."""
 
     def __init__(self) -> None:
-        self._tiles: list[tuple[npt.NDArray[Any], ...]] = []
+        self._tiles: list[tuple[Any, ...]] = []
 
     def add(
         self,
@@ -56,6 +58,7 @@ class Gathering:
         mean: npt.NDArray[np.float64],
         batch_values: npt.NDArray[np.float64],
         weights: npt.NDArray[np.float64] | None = None,
+        spp: int = 0,
     ) -> None:
         """Take over some pixels.
 
@@ -64,11 +67,12 @@ class Gathering:
             mean: (n, C) the image there.
             batch_values: (K, n, C, 6) independent estimates of dI/dξ in the camera frame.
             weights: (n, C) or (n, C, C), of the noise [1 / radiance²]; None: unit variance.
+            spp: paths of each of them; 0: there are none.
         """
         weights = np.ones_like(mean) if weights is None else weights
         values = np.mean(batch_values, axis=0).astype(np.float32)
         own = pixel_information(batch_values, weights)
-        self._tiles.append((np.array(pixels), mean.astype(np.float32), values, own))
+        self._tiles.append((np.array(pixels), mean.astype(np.float32), values, own, np.float32(spp)))
 
     def pictures(
         self,
@@ -89,22 +93,34 @@ class Gathering:
         image = np.full((height, width, channels), np.nan, np.float32)
         columns = np.full((height, width, channels, 6), np.nan, np.float32)
         density, share = np.full((2, height, width), np.nan)
+        paths = np.full((height, width), np.nan, np.float32)
         found = identified(information)
         weakest = weakest_direction(found, information.pose, information.length_scale)
         selection, length = information.selection, information.length_scale
         diagonal = pack(np.diag(information.scale**2))
         scale = selection.total / selection.selected if selection.kind == "random" else 1.0
         turn = np.eye(6) if frame == "camera" else se3.adjoint(se3.inverse(information.pose))
-        for pixels, mean, values, own in self._tiles:
+        for pixels, mean, values, own, spp in self._tiles:
             x, y = pixels.T
             image[y, x] = mean
+            paths[y, x] = spp
             columns[y, x] = values @ turn  # dI/dξ_world = dI/dξ_camera · Ad(camera_from_world)
             density[y, x] = scale * (own @ diagonal)
             if weakest is not None:
                 share[y, x] = along(own, weakest.direction * information.scale)
         if weakest is not None:
             share /= np.nansum(share)
-        return Pictures(image, columns, density, share, weakest, frame, information.pose, length)
+        return Pictures(
+            image,
+            columns,
+            density,
+            share,
+            weakest,
+            frame,
+            information.pose,
+            length,
+            paths if np.nansum(paths) > 0.0 else None,
+        )
 
 
 def pictures_of(

@@ -200,7 +200,7 @@ def _gathered(options: MeasurementKeywords, gathering: Gathering | None) -> Meas
     told = options.get("on_tile")
 
     def on_tile(tile: TileJacobian, done: int, total: int) -> None:
-        gathering.add(tile.pixels, tile.mean, tile.batch_values, tile.weights)
+        gathering.add(tile.pixels, tile.mean, tile.batch_values, tile.weights, tile.spp)
         if told is not None:
             told(tile, done, total)
 

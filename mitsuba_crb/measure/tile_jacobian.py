@@ -36,6 +36,8 @@ class TileJacobian:
     """(n, 3) or (n, 3, 3), those of the noise [1 / radiance²]; None where none was told."""
     weight_bias: NDArray[np.float64] | None = None
     """As `weights`, what the pilot's noise may do to their expectations; None where none depends on it."""
+    spp: int = 0
+    """Paths of each of its pixels; 0 where there are none, or nobody said."""
 
     def finite(self) -> TileJacobian:
         """Without the pixels at which anything is NaN or infinite."""
