@@ -8,6 +8,7 @@ an error that nobody foresaw; `check` has its own (0 agree, 1 disagree, 3 inconc
 
 from __future__ import annotations
 
+import shlex
 import sys
 import traceback
 from typing import Annotated
@@ -49,7 +50,12 @@ def run(arguments: list[str] | None = None) -> int:
     """Run the command and return its exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     try:
-        code = app(arguments or ["--help"], prog_name="mitsuba-crb", standalone_mode=False)
+        code = app(
+            arguments or ["--help"],
+            prog_name="mitsuba-crb",
+            standalone_mode=False,
+            obj=shlex.join(["mitsuba-crb", *arguments]),  # for pages that say how to get them again
+        )
     except typer.TyperException as error:  # a usage error: unknown option, missing argument, not a number
         complain(error.format_message())
         return error.exit_code

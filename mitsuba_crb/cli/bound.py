@@ -36,6 +36,7 @@ from .options import (
     Pose,
     Poses,
     Precision,
+    Report,
     Scene,
     Seed,
     Sensor,
@@ -47,9 +48,11 @@ from .options import (
 )
 from .outcome import answered, foreseen, measuring
 from .poses import bound_poses, check_pose_options
+from .reports import check_report, report_bound
 
 
 def bound(
+    context: typer.Context,
     scene: Scene,
     sensor: Sensor = "0",
     pose: Pose = None,
@@ -143,6 +146,7 @@ def bound(
             "--plot", metavar="FILE", help="Write a page of pictures as PNG; with --poses, of the path."
         ),
     ] = None,
+    report_file: Report = None,
     variant: Variant = None,
     debug: Debug = False,
 ) -> int:
@@ -201,12 +205,14 @@ def bound(
         inputs = view_files(scene, pose, camera, pixels, body_from_camera)
         inputs += [file for file in given if file is not None]
         targets = {"--json": json_file, "--csv": csv_file, "--parquet": parquet_file}
-        targets |= {"--exr": exr_file, "--plot": plot_file}
+        targets |= {"--exr": exr_file, "--plot": plot_file, "--report": report_file}
         check_targets(targets, inputs, resumed=() if poses is None else ("--json", "--csv"))
+        check_report(report_file)
         options |= {"prior": prior, "nuisances": marginalize or (), "frame": frame, "method": method}
         if poses is not None:
             options |= {"json_file": json_file, "csv_file": csv_file}
             options |= {"parquet_file": parquet_file, "plot_file": plot_file}
+            options |= {"report_file": report_file, "context": context}
             options |= {"noise": noise, "defines": defines, "own_cameras": camera is None}
             return bound_poses(scene, poses, convention, body, images, **options)
 
@@ -214,8 +220,10 @@ def bound(
         from ..export.documents import bound_document, write_json
         from ..export.exr import write_exr
         from ..measure.report import bound_report
+        from ..noise import CoupledNoise
         from ..show.bound_table import print_report
 
+        coupled = isinstance(noise, CoupledNoise)  # has no information of single pixels to show
         capture = None if photographs is None else load_capture(photographs)
         with measuring() as (bar, _):  # the bound's provenance repeats the warnings
             report = bound_report(
@@ -224,7 +232,7 @@ def bound(
                 defines=defines,
                 hcr=hcr,
                 displacements=twists,
-                pictures=bool(exr_file or plot_file),
+                pictures=bool(exr_file or plot_file or (report_file and not coupled)),
                 capture=capture,
                 encoding=photo_encoding,
                 on_progress=bar,
@@ -232,8 +240,8 @@ def bound(
                 **options,
             )
         with answered(lambda to: print_report(to, report)):
+            document = bound_document(report.bound, report.hcr, report.misspecified, report.held_out)
             if json_file is not None:
-                document = bound_document(report.bound, report.hcr, report.misspecified, report.held_out)
                 write_json(json_file, document)
             if exr_file is not None and report.pictures is not None:
                 write_exr(exr_file, report.pictures, report.attributes)
@@ -241,4 +249,6 @@ def bound(
                 from ..show.bound_page import write_plot
 
                 write_plot(plot_file, report.bound, report.pictures)
+            if report_file is not None:
+                report_bound(report_file, context, report, document, scene, defines, options)
         return 130 if report.bound.provenance.get("sampling", {}).get("interrupted") else 0

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from .options import Config, Debug, JsonFile, Variant, Workers
+import typer
+
+from .options import Config, Debug, JsonFile, Report, Variant, Workers
 from .outcome import answered, foreseen, measuring
+from .reports import check_report, report_fusion
 
 
 def fuse(
+    context: typer.Context,
     config: Config,
     workers: Workers = None,
     json_file: JsonFile = None,
+    report_file: Report = None,
     variant: Variant = None,
     debug: Debug = False,
 ) -> None:
@@ -19,7 +24,8 @@ def fuse(
         from ..measure.team_file import load_team
 
         team = load_team(config)
-        check_targets({"--json": json_file}, team.files)
+        check_targets({"--json": json_file, "--report": report_file}, team.files)
+        check_report(report_file)
 
         from ..export.documents import fusion_document, write_json
         from ..measure.teams import fuse_team
@@ -30,3 +36,5 @@ def fuse(
         with answered(lambda to: print_fusion(to, team, result)):
             if json_file is not None:
                 write_json(json_file, fusion_document(team, result))
+            if report_file is not None:
+                report_fusion(report_file, context, team, result)

@@ -211,6 +211,15 @@ PlanPlot = Annotated[
     ),
 ]
 JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write everything as JSON.")]
+Report = Annotated[
+    Path | None,
+    typer.Option(
+        "--report",
+        metavar="FILE.html",
+        help="Write a page to look at in a browser: tables, pictures with values, the cameras in the world; "
+        "needs mitsuba_crb[report].",
+    ),
+]
 Integrator = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="Integrator in place of the scene's, such as path, direct or volpath."),

@@ -9,6 +9,8 @@ from ..errors import OptionError
 from .outcome import answered, complain, measuring
 
 if TYPE_CHECKING:
+    import typer
+
     from ..camera import Intrinsics
     from ..measure.likeness import Likeness
     from ..se3 import Array
@@ -44,6 +46,8 @@ def bound_poses(
     csv_file: Path | None,
     parquet_file: Path | None,
     plot_file: Path | None,
+    report_file: Path | None,
+    context: typer.Context,
     **options: Any,
 ) -> int:
     """A table of bounds; options as `pose_table` has them.
@@ -88,6 +92,10 @@ def bound_poses(
             from ..show.poses_page import write_poses_plot
 
             write_poses_plot(plot_file, table)
+        if report_file is not None:
+            from .reports import report_poses
+
+            report_poses(report_file, context, table, scene, cameras, options["defines"], options)
     return 130 if table.interrupted else 0
 
 

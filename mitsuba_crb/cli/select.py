@@ -7,11 +7,13 @@ from typing import Annotated, Literal
 
 import typer
 
-from .options import Config, Debug, JsonFile, Variant, Workers
+from .options import Config, Debug, JsonFile, Report, Variant, Workers
 from .outcome import answered, foreseen, measuring
+from .reports import check_report, report_selection
 
 
 def select(
+    context: typer.Context,
     config: Config,
     budget: Annotated[int | None, typer.Option(metavar="B", help="Tiles in total.")] = None,
     per_agent: Annotated[
@@ -30,6 +32,7 @@ def select(
             "--plot", metavar="FOLDER", help="Write a picture per agent, and the curve over budgets, as PNG."
         ),
     ] = None,
+    report_file: Report = None,
     variant: Variant = None,
     debug: Debug = False,
 ) -> None:
@@ -41,7 +44,8 @@ def select(
 
         team = load_team(config)
         limits = Budget(tiles=budget, tiles_per_agent=per_agent, bytes=size)
-        check_targets({"--json": json_file}, team.files)
+        check_targets({"--json": json_file, "--report": report_file}, team.files)
+        check_report(report_file)
         if plot_folder is not None:
             check_folder(plot_folder, "--plot")
 
@@ -58,3 +62,5 @@ def select(
                 from ..show.team_page import write_selection_plots
 
                 write_selection_plots(plot_folder, result)
+            if report_file is not None:
+                report_selection(report_file, context, team, result)

@@ -20,6 +20,7 @@ from .options import (
     Method,
     Pixels,
     Pose,
+    Report,
     Scene,
     Seed,
     Sensor,
@@ -31,9 +32,11 @@ from .options import (
     Workers,
 )
 from .outcome import answered, foreseen, measuring
+from .reports import check_report, report_validation
 
 
 def validate(
+    context: typer.Context,
     scene: Scene,
     sensor: Sensor = "0",
     pose: Pose = None,
@@ -88,6 +91,7 @@ def validate(
         Path | None,
         typer.Option("--plot", metavar="FILE", help="Write coverage, NEES and eigenvalues as PNG."),
     ] = None,
+    report_file: Report = None,
     variant: Variant = None,
     debug: Debug = False,
 ) -> int:
@@ -116,7 +120,9 @@ def validate(
         options |= {"exposure": parse_exposure(exposure)}
         defines = scene_defines(scene, define, light, up)
         inputs = view_files(scene, pose, camera, pixels)
-        check_targets({"--json": json_file, "--plot": plot_file}, inputs, resumed=("--json",))
+        targets = {"--json": json_file, "--plot": plot_file, "--report": report_file}
+        check_targets(targets, inputs, resumed=("--json",))
+        check_report(report_file)
 
         from ..estimate.trials import validate as run_trials
         from ..export.documents import validation_document, write_json
@@ -145,4 +151,6 @@ def validate(
                 from ..show.trials_page import write_validation_plot
 
                 write_validation_plot(plot_file, result)
+            if report_file is not None:
+                report_validation(report_file, context, validation_document(result), scene, defines, options)
         return result.exit_code
