@@ -32,7 +32,6 @@ from .validate import validate
 INTERNAL_ERROR = 70
 
 app = typer.Typer(
-    add_completion=False,
     rich_markup_mode=None,  # in every other mode [noise] is markup and vanishes
     pretty_exceptions_enable=False,
     help="How precisely could any algorithm estimate this camera's pose from this image of this scene?",

@@ -232,8 +232,10 @@ def view_files(
     scene: Path, pose: str | None, camera: str | None, pixels: str | None, body: str | None = None
 ) -> list[Path]:
     """The files that the view is read from, which no output may overwrite."""
+    from ..render.demos import scene_path
+
     named = (pose_file(pose), pose_file(body), camera_file(camera), Path(pixels) if pixels else None)
-    return [scene, *(file for file in named if file is not None)]
+    return [scene_path(scene), *(file for file in named if file is not None)]
 
 
 def _read(file: Path) -> Any:

@@ -12,7 +12,8 @@ Scene = Annotated[
     typer.Argument(
         metavar="SCENE",
         help="A Mitsuba 3 scene file (.xml), a world's (.glb, .gltf, .obj, .ply, .stl), or a radiance "
-        "field's: Gaussian splats (.ply, .splat) or a trained field (.npz).",
+        "field's: Gaussian splats (.ply, .splat) or a trained field (.npz). Or a scene that comes along: "
+        "demo:textured_room, demo:boxes and others.",
     ),
 ]
 Light = Annotated[
@@ -196,7 +197,11 @@ Define = Annotated[
     ),
 ]
 Config = Annotated[
-    Path, typer.Argument(metavar="CONFIG.toml", help="Who looks where: see scenes/warehouse/warehouse.toml.")
+    Path,
+    typer.Argument(
+        metavar="CONFIG.toml",
+        help="Who looks where: see scenes/warehouse/warehouse.toml, or try demo:warehouse.",
+    ),
 ]
 Workers = Annotated[
     int | None, typer.Option(metavar="N", help="Processes that render; default: one per agent and core.")

@@ -52,6 +52,7 @@ from ..datasets.intrinsics import file_and_name, load_camera
 from ..errors import CameraError, ConfigError, NoiseError, OptionError, PoseError
 from ..files import Table, checked, expected, read_toml
 from ..noise import NoiseModel
+from ..render.demos import scene_path
 from ..se3 import Array
 from .options import MeasurementOptions
 from .sensing import DEPTH, parse_depth_sigma
@@ -100,7 +101,7 @@ class AgentTable(Table):
 
     name: str
     scene: str
-    """A file beside this one."""
+    """A file beside this one, or "demo:NAME"."""
     sensor: int | str = 0
     """Index or id."""
     pose: list[Any] | None = None
@@ -221,9 +222,10 @@ _OF_TILES = {"size": "tile_size", "precision": "message_precision"}
 
 
 def load_team(path: Path) -> Team:
-    """Read a team's file.
+    """Read a team's file, or that of "demo:NAME".
 
     Raises:
+        SceneError: there is no such demo.
         CameraError: a calibration cannot be used.
         ConfigError: no such file or scene, not TOML, a key that nobody knows, a value of the wrong type, no
             agents, or two of one name.
@@ -231,6 +233,7 @@ def load_team(path: Path) -> Team:
         PoseError: a pose or transform is no rigid motion.
         NoiseError: an impossible noise.
     """
+    path = scene_path(path, ".toml")
     table = checked(TeamTable, read_toml(path, ConfigError), ConfigError, str(path))
     if not table.agents:
         raise ConfigError(f"{path} lists no agents: add [[agents]] with a name and a scene")
@@ -252,7 +255,7 @@ def load_team(path: Path) -> Team:
 
 def _member(table: AgentTable, path: Path) -> Member:
     where = f"{path}: agent {table.name!r}"
-    scene = path.parent / table.scene
+    scene = path.parent / scene_path(table.scene)
     if not os.path.isfile(scene):
         raise ConfigError(f"{where}: no scene file at {scene}")
     return Member(

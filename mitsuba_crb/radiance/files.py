@@ -33,7 +33,7 @@ def as_field(world: Any) -> Field | None:
     source = SceneFile(world) if isinstance(world, str | os.PathLike) else world
     if not isinstance(source, SceneFile):
         return None
-    file = Path(source.path)
+    file = source.file
     if is_splats(file):
         return _splats(file, source.defines)
     return _trained(file, source.defines) if file.suffix.lower() == TRAINED else None

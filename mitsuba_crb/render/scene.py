@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import SceneError, SceneWarning
 from .backend import use_mitsuba
 from .cures import cured, innermost, property_cure
+from .demos import scene_path
 from .fit import Wanted, fit
 from .instantiate import instantiate
 from .lending import turns
@@ -34,9 +35,18 @@ class SceneFile:
     meshes apart if their parameters are asked for."""
 
     path: str | os.PathLike[str]
-    """Of the XML file, or of a world's (see `world`)."""
+    """Of the XML file, or of a world's (see `world`); or "demo:NAME", one that comes along (see `demos`)."""
     defines: Mapping[str, str] = field(default_factory=dict)
     """Values of its `<default>`s; of a world: up, light and fov; of splats: variant and background."""
+
+    @property
+    def file(self) -> Path:
+        """Where it is.
+
+        Raises:
+            SceneError: there is no such demo.
+        """
+        return scene_path(self.path)
 
 
 @contextlib.contextmanager
@@ -90,7 +100,7 @@ def read_file(source: SceneFile) -> Parsed:
     """What Mitsuba's parser makes of a file; errors as `parse`."""
     import mitsuba as mi
 
-    file = Path(source.path)
+    file = source.file
     defines = {key: str(value) for key, value in source.defines.items()}
     with _loading(), _names_relative_to(file.parent):
         return parse(mi.parser.ParserConfig(mi.variant()), file, defines)
@@ -164,7 +174,7 @@ def _loaded(scene: Any, wanted: Wanted) -> tuple[mi.Scene, str]:
 def _from_file(source: SceneFile, wanted: Wanted) -> mi.Scene:
     import mitsuba as mi
 
-    file = Path(source.path)
+    file = source.file
     if is_world(file):
         world = _world(file, source.defines)
         if stands_in(world) and not wanted.calibrated and "fov" not in source.defines:
