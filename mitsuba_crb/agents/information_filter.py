@@ -66,7 +66,7 @@ class InformationFilter:
         self._messages: dict[bytes, Message] = {}
 
     def receive(self, data: bytes) -> Message:
-        """Take a message into account.
+        """Take a message into account; where it is refused, the filter stays as it was.
 
         Returns:
             The message as decoded. It need not change anything: it may be an old one, or wait for its base.
@@ -74,7 +74,6 @@ class InformationFilter:
         Raises:
             MessageError: the bytes are corrupt.
             FrameError: the message is about another variable or linearisation pose.
-            In both cases the filter stays as it was.
         """
         data = bytes(data)
         if data not in self._messages:
