@@ -109,7 +109,7 @@ def align(
     variant: Variant = None,
     debug: Debug = False,
 ) -> int:
-    """The pose that a photograph was taken from, and what it is worth.
+    """Where was this photograph taken from, and how sure is that?
 
     Exit code 0 if it is aligned, 1 if the search ended where the scene is unlike the photograph, 3 if it did
     not end.

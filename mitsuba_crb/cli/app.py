@@ -11,6 +11,7 @@ from __future__ import annotations
 import shlex
 import sys
 import traceback
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
@@ -36,8 +37,22 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="How precisely could any algorithm estimate this camera's pose from this image of this scene?",
 )
-for _command in (bound, align, check, fuse, select, next_view, path, validate, train, export, doctor):
-    app.command()(_command)
+_EXAMPLES: dict[Callable[..., int | None], str] = {
+    bound: "bound demo:textured_room --json room.json --plot room.png",
+    align: "align room.glb photo.jpg --camera calibration.yaml --light baked",
+    check: "check demo:boxes --size 64x48",
+    fuse: "fuse demo:warehouse",
+    select: "select demo:warehouse --budget 24",
+    next_view: "next-view room.zarr --budget 3 --have 3,17",
+    path: "path room.zarr --from 0 --to 40 --limit 0.01",
+    validate: "validate demo:textured_room --size 32x24 --trials 100",
+    train: "train photographs --out garden.npz --minutes 15",
+    export: "export room.json --to gtsam",
+    doctor: "doctor",
+}
+"""Of every command, which the help of each ends with."""
+for _command, _example in _EXAMPLES.items():
+    app.command(epilog=f"Example: mitsuba-crb {_example}")(_command)
 
 
 def main() -> None:

@@ -150,7 +150,9 @@ def bound(
     variant: Variant = None,
     debug: Debug = False,
 ) -> int:
-    """The Cramér–Rao bound on the camera's pose, or at many poses.
+    """How precisely can this camera's pose be known?
+
+    Its Cramér–Rao bound: no unbiased estimator has smaller standard deviations. With --poses: of many.
 
     Exit code 130 if it was interrupted; the answer is then that of the rounds or the poses before.
     """

@@ -68,10 +68,10 @@ def check(
     variant: Variant = None,
     debug: Debug = False,
 ) -> int:
-    """Compare a method with finite differences on this scene.
+    """Is the derivative right on this scene?
 
-    By as many paths as it takes to tell. Exit code 0 if they agree, 1 if they disagree, 3 if those that are
-    allowed cannot tell.
+    Compares a method with finite differences, by as many paths as it takes to tell. Exit code 0 if they
+    agree, 1 if they disagree, 3 if those that are allowed cannot tell.
     """
     with foreseen(debug, variant):
         from ..measure.sensing import parse_range

@@ -7,7 +7,10 @@ from .outcome import console, foreseen
 
 
 def doctor(variant: Variant = None, debug: Debug = False) -> int:
-    """Versions, LLVM, cores, and whether a 16x16 bound runs."""
+    """Does it run here?
+
+    Versions, LLVM, cores, and whether a 16x16 bound runs.
+    """
     with foreseen(debug):
         from ..measure.diagnosis import diagnose
         from ..render.backend import VARIANTS

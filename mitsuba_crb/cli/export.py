@@ -60,11 +60,10 @@ def export(
     ] = None,
     debug: Debug = False,
 ) -> None:
-    """How do I get this covariance into GTSAM, COLMAP, ROS, g2o or a table?
+    """How does this covariance get into GTSAM, COLMAP or ROS?
 
-    Order, side, frame and axes are turned to the tool's, and the file says them. Example:
-
-    mitsuba-crb bound demo:boxes --json boxes.json && mitsuba-crb export boxes.json --to ros
+    Or into g2o, a trajectory, a table, arrays, Rerun. Order, side, frame and axes are turned to the tool's,
+    and the file says which they are.
     """
     with foreseen(debug):
         from ..export.formats import export_result

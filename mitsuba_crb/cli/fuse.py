@@ -18,7 +18,10 @@ def fuse(
     variant: Variant = None,
     debug: Debug = False,
 ) -> None:
-    """What several agents know together of their common body's pose."""
+    """What do several agents know together of their pose?
+
+    Their common body's, from informations that each measures by itself.
+    """
     with foreseen(debug, variant):
         from ..export.targets import check_targets
         from ..measure.team_file import load_team

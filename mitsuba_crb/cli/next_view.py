@@ -47,7 +47,10 @@ def next_view(
     plot_file: PlanPlot = None,
     debug: Debug = False,
 ) -> None:
-    """Which views to add to those taken, so that one body that carries them all knows its pose best."""
+    """Which views should be added to those that are taken?
+
+    So that one body that carries them all knows its pose best.
+    """
     with foreseen(debug):
         from ..bound.prior import load_prior
         from ..export.targets import check_targets

@@ -60,7 +60,9 @@ def path(
     plot_file: PlanPlot = None,
     debug: Debug = False,
 ) -> int:
-    """The shortest path through a field of views that keeps the position bound below a limit.
+    """Which path keeps the position known well enough?
+
+    The shortest one through a field of views whose position bound stays below a limit.
 
     Exit code 0 if there is one, 1 if there is none, 3 if the labels kept cannot tell.
     """

@@ -36,7 +36,7 @@ def select(
     variant: Variant = None,
     debug: Debug = False,
 ) -> None:
-    """Which image tiles several agents should send under a budget."""
+    """Which image tiles should agents send if they may not send all?"""
     with foreseen(debug, variant):
         from ..agents.tiles import Budget
         from ..export.targets import check_folder, check_targets

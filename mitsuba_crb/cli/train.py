@@ -49,11 +49,11 @@ def train(
     variant: Variant = None,
     debug: Debug = False,
 ) -> int:
-    """A radiance field (a hash grid) trained on posed photographs.
+    """How do posed photographs become a scene?
 
-    Its file is a scene for `bound` and the others. The photographs that are held out are compared with it at
-    the end. Ctrl-C keeps what was written last, at most half a minute earlier; the same command goes on from
-    there.
+    Trains a radiance field, a hash grid, whose file is a scene for `bound` and the others. The photographs
+    that are held out are compared with it at the end. Ctrl-C keeps what was written last, at most half a
+    minute earlier; the same command goes on from there.
     """
     with foreseen(debug, variant):
         from ..datasets.captures import load_capture

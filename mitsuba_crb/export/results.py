@@ -78,7 +78,7 @@ def _check_kind(document: Any, where: str) -> None:
         raise DocumentError(f"{where} has {_WITHOUT[kind]}")
     known = next((known for known in KNOWN if known.split("/")[1] == kind), None)
     if known is None:
-        raise DocumentError(f"{where} is of {kind}, and has no poses to export; {_GIVE}")
+        raise DocumentError(f"{where} is of {kind}, and has no poses with covariances; {_GIVE}")
     raise DocumentError(
         f"{where} is of another version: its schema is {reprlib.repr(schema)}, not {known!r}; write it again "
         f"with this mitsuba-crb {kind}"

@@ -476,7 +476,7 @@ class TestResults:
             ({"schema": "mitsuba-crb/bound/9"}, "of another version.*write it again"),
             ({"schema": "mitsuba-crb/validate/2"}, "errors of an estimator"),
             ({"schema": "mitsuba-crb/select/1"}, "tiles, not a pose's covariance"),
-            ({"schema": "mitsuba-crb/map/1"}, "is of map, and has no poses"),
+            ({"schema": "mitsuba-crb/map/1"}, "is of map, and has no poses with covariances"),
             ({"schema": 7}, "no result of mitsuba-crb"),
             ({"covariance": [[1.0]]}, r"damaged: an array has the shape \(1, 1\)"),
             ({"information": [["inf"] * 6] * 6}, "damaged: a matrix has entries that are no numbers"),
