@@ -3,8 +3,8 @@
     python docs/tools/outputs.py                 # all pages
     python docs/tools/outputs.py howto/check.md  # one
 
-The commands of a page run in one empty folder, with the repository's `scenes` and `docs` in it. What follows a
-block of commands as `text` becomes its output; a picture that the page shows as `pictures/NAME.png` becomes
+The commands of a page run in one empty folder, with the repository's `scenes` and `docs` in it. What follows
+a block of commands as `text` becomes its output; a picture that the page shows as `pictures/NAME.png` becomes
 that of this name.
 """
 
