@@ -25,7 +25,17 @@ from mitsuba_crb.camera import Camera
 from mitsuba_crb.errors import PrecisionWarning
 from mitsuba_crb.information.fisher import FisherInformation
 from mitsuba_crb.information.significance import no_information
-from mitsuba_crb.planning.layout import BLOCKED, INSIDE, MEASURED, OUTSIDE, SCHEMA, TO_DO, VARIABLES, VERDICTS
+from mitsuba_crb.planning.layout import (
+    BLOCKED,
+    INSIDE,
+    MEASURED,
+    MEASUREMENTS,
+    OUTSIDE,
+    SCHEMA,
+    TO_DO,
+    VARIABLES,
+    VERDICTS,
+)
 from mitsuba_crb.planning.view_field import ViewField
 
 SIZE = 64
@@ -75,7 +85,7 @@ def dataset_of(
     *,
     candidates: dict[str, Any] | None = None,
 ) -> xr.Dataset:
-    """The dataset of some views, as the store has it; those not measured have no information."""
+    """The dataset of some views as the store has it: NaN of what is to do, nothing where nothing is seen."""
     status = np.asarray(status, dtype=np.int8)
     rows = []
     for information, state in zip(informations, status, strict=True):
@@ -88,6 +98,9 @@ def dataset_of(
     columns |= {"place": np.asarray(place), "heading": np.asarray(heading), "status": status}
     columns |= {"done": status != TO_DO, "seconds": np.full(len(rows), 0.1)}
     columns |= {"paths": np.zeros(len(rows)), "no_bound": np.zeros(len(rows))}
+    for name, variable in MEASUREMENTS.items():
+        columns[name] = np.array(columns[name], dtype=variable.dtype)
+        columns[name][status == TO_DO] = variable.fill
     return xr.Dataset(
         {
             name: (("view", *variable.dims), columns[name].astype(variable.dtype), variable.attributes)
