@@ -62,6 +62,7 @@ from .forms import (
     up_of,
     values_of,
 )
+from .plan_view import plan_axes
 from .surroundings import Surroundings, mean_up, shape_centre, surroundings
 
 Ints = NDArray[np.int32]
@@ -172,21 +173,6 @@ def parse_candidates(
     if form == "grid":
         return _grid(said, around, up)
     return _around(said, around, up, world)
-
-
-def plan_axes(up: Array) -> tuple[Array, int]:
-    """The world's axes, of which the one next to up is up, and the others level: rows (3, 3), and its index.
-
-    That one points as the world's does, so perhaps down.
-    """
-    which = int(np.argmax(np.abs(up)))
-    axes = np.eye(3)
-    axes[which] = up * np.sign(up[which])
-    first, second = (axis for axis in range(3) if axis != which)
-    axes[first] -= (axes[first] @ axes[which]) * axes[which]
-    axes[first] /= np.linalg.norm(axes[first])
-    axes[second] = np.cross(axes[which], axes[first]) * (-1.0 if which == 1 else 1.0)
-    return axes + 0.0, which  # no -0
 
 
 def looking(forward: Array, upwards: Array) -> Array:
