@@ -23,6 +23,7 @@ from ..files import atomic
 from ..planning.floor_plan import FloorPlan, floor_plan
 from ..planning.plan_values import PlanValues, Quantity, lattice, plan_values
 from ..planning.plan_view import PlanView
+from ..planning.world_at_hand import world_at_hand
 from .field_map import (
     colours_of,
     draw_arrows,
@@ -51,15 +52,18 @@ _MARGIN = 0.1
 _PATHS = (("#d6006e", "-"), ("black", "--"), ("#1b7837", ":"), ("#e6550d", "-."))
 
 
-def outlines_of(world: Any, field: ViewField) -> FloorPlan | None:
-    """What stands among a field's positions, at the cameras' height and lower; None of a radiance field.
+def outlines_of(field: ViewField, world: Any = None) -> FloorPlan | None:
+    """What stands among a field's positions, at the cameras' height and lower; None if nothing is known.
 
     Args:
-        world: that the field was measured in.
-        field: its views.
+        field: the views.
+        world: that they are in; default: the one that they were measured in, if it is at hand.
     """
+    shown = world_at_hand(field) if world is None else world
+    if shown is None:
+        return None
     heights = PlanView.of(field.up).height(field.poses[:, :3, 3])
-    return floor_plan(world, field.up, *_limits(field), float(np.median(heights)))
+    return floor_plan(shown, field.up, *_limits(field), float(np.median(heights)))
 
 
 def field_figure(field: ViewField, outlines: FloorPlan | None = None) -> Figure:
@@ -139,23 +143,22 @@ def paths_figure(
 
 
 def write_field_page(path: Path, field: ViewField, world: Any = None) -> None:
-    """Write `field_figure` as a PNG, with the outlines of a world if that is given."""
-    _write(path, field_figure(field, None if world is None else outlines_of(world, field)))
+    """Write `field_figure` as a PNG; arguments as `outlines_of`."""
+    _write(path, field_figure(field, outlines_of(field, world)))
 
 
 def write_next_views_page(
     path: Path, field: ViewField, chosen: Sequence[int], *, have: Sequence[int] = (), world: Any = None
 ) -> None:
-    """Write `next_views_figure` as a PNG, with the outlines of a world if that is given."""
-    outlines = None if world is None else outlines_of(world, field)
-    _write(path, next_views_figure(field, chosen, have=have, outlines=outlines))
+    """Write `next_views_figure` as a PNG; arguments as there and of `outlines_of`."""
+    _write(path, next_views_figure(field, chosen, have=have, outlines=outlines_of(field, world)))
 
 
 def write_paths_page(
     path: Path, field: ViewField, paths: Mapping[str, Sequence[int]], *, world: Any = None
 ) -> None:
-    """Write `paths_figure` as a PNG, with the outlines of a world if that is given."""
-    _write(path, paths_figure(field, paths, outlines=None if world is None else outlines_of(world, field)))
+    """Write `paths_figure` as a PNG; arguments as there and of `outlines_of`."""
+    _write(path, paths_figure(field, paths, outlines=outlines_of(field, world)))
 
 
 def _one_map(field: ViewField, outlines: FloorPlan | None) -> tuple[Figure, Axes, list[Any]]:

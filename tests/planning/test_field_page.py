@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import json
+import shutil
 from pathlib import Path
 
 import matplotlib as mpl
@@ -15,6 +17,7 @@ from small_scenes import T, camera, scene
 from synthetic_field import small_field
 
 from mitsuba_crb import se3
+from mitsuba_crb.measure.opening import as_world, fingerprint
 from mitsuba_crb.planning.floor_plan import floor_plan
 from mitsuba_crb.planning.plan_values import (
     INSIDE_SOLID,
@@ -29,6 +32,9 @@ from mitsuba_crb.planning.plan_values import (
 )
 from mitsuba_crb.planning.plan_view import PlanView
 from mitsuba_crb.planning.view_field import ViewField
+from mitsuba_crb.planning.world_at_hand import world_at_hand
+from mitsuba_crb.render.fit import Wanted
+from mitsuba_crb.render.scene import SceneFile
 from mitsuba_crb.show import field_page as page
 
 HEADINGS = 4
@@ -259,3 +265,22 @@ def test_colour_bars_have_few_round_ticks(low: float, high: float) -> None:
     ticks = page.round_ticks(low, high)
     assert 1 <= len(ticks) <= 7
     assert all(low <= tick <= high for tick in ticks)
+
+
+def test_outlines_are_of_the_world_that_was_measured_and_of_no_other(tmp_path: Path, scenes: Path) -> None:
+    folder = tmp_path / "room"
+    shutil.copytree(scenes / "boxes", folder)
+    file = folder / "boxes.xml"
+    loaded, _ = as_world(SceneFile(file), Wanted(0, (32, 24)))
+    settings = {"scene": str(file), "scene_contents": fingerprint(loaded, str(file), {}), "size": [32, 24]}
+    dataset = small_field(shape=(2, 2), headings=1).dataset
+    field = ViewField(dataset.assign_attrs(settings=json.dumps(settings)))
+    assert world_at_hand(field) is not None
+    found = page.outlines_of(field)
+    assert found is not None
+    file.write_text(file.read_text().replace("</scene>", '<shape type="sphere"/></scene>'))
+    assert world_at_hand(field) is None
+    file.write_text("no scene")
+    assert world_at_hand(field) is None
+    file.unlink()
+    assert page.outlines_of(field) is None
