@@ -22,6 +22,7 @@ from .bound import bound
 from .check import check
 from .doctor import doctor
 from .export import export
+from .field import field
 from .fuse import fuse
 from .next_view import next_view
 from .outcome import complain
@@ -39,12 +40,13 @@ app = typer.Typer(
 )
 _EXAMPLES: dict[Callable[..., int | None], str] = {
     bound: "bound demo:textured_room --json room.json --plot room.png",
+    field: "field demo:textured_room --poses grid:headings=8 --size 64x48 --out room.zarr",
+    next_view: "next-view room.zarr --budget 3 --have 3,17",
+    path: "path room.zarr --from 0 --to 40 --limit 0.01",
     align: "align room.glb photo.jpg --camera calibration.yaml --light baked",
     check: "check demo:boxes --size 64x48",
     fuse: "fuse demo:warehouse",
     select: "select demo:warehouse --budget 24",
-    next_view: "next-view room.zarr --budget 3 --have 3,17",
-    path: "path room.zarr --from 0 --to 40 --limit 0.01",
     validate: "validate demo:textured_room --size 32x24 --trials 100",
     train: "train photographs --out garden.npz --minutes 15",
     export: "export room.json --to gtsam",

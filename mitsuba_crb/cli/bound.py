@@ -25,10 +25,12 @@ from .options import (
     Images,
     Integrator,
     Light,
+    Marginalize,
     MaxSpp,
     Measure,
     Method,
     NoClip,
+    NoiseFile,
     ParquetFile,
     PhotoEncoding,
     Photographs,
@@ -36,6 +38,7 @@ from .options import (
     Pose,
     Poses,
     Precision,
+    Prior,
     Report,
     Scene,
     Seed,
@@ -81,31 +84,9 @@ def bound(
     depth_sigma: DepthSigma = None,
     depth_range: DepthRange = None,
     depth_edges: DepthEdges = False,
-    noise_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--noise",
-            metavar="FILE.toml",
-            help="Noise model and sensor response: a table [noise], see `mitsuba_crb.noise.schema`.",
-        ),
-    ] = None,
-    marginalize: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="A parameter that is not known either: gain, black, gain:32 (one in every 32x32 tile), fov, "
-            "principal_point, fx, fy, cx, cy, a coefficient of the camera's lens such as k1, of "
-            "splats all colours or opacities, or a scene parameter's name in mi.traverse; repeatable.",
-        ),
-    ] = None,
-    prior: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="What is known of the pose beforehand (.toml, .json): a frame, and information, covariance, "
-            "or position_std and rotation_std_deg.",
-        ),
-    ] = None,
+    noise_file: NoiseFile = None,
+    marginalize: Marginalize = None,
+    prior: Prior = None,
     pixels: Pixels = None,
     drop_invalid: DropInvalid = False,
     integrator: Integrator = None,

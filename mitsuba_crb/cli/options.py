@@ -150,6 +150,31 @@ Exposure = Annotated[
 NoClip = Annotated[
     bool, typer.Option("--no-clip", help="The default noise goes on above white instead of saturating.")
 ]
+NoiseFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--noise",
+        metavar="FILE.toml",
+        help="Noise model and sensor response: a table [noise], see `mitsuba_crb.noise.schema`.",
+    ),
+]
+Marginalize = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME",
+        help="A parameter that is not known either: gain, black, gain:32 (one in every 32x32 tile), fov, "
+        "principal_point, fx, fy, cx, cy, a coefficient of the camera's lens such as k1, of "
+        "splats all colours or opacities, or a scene parameter's name in mi.traverse; repeatable.",
+    ),
+]
+Prior = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="What is known of the pose beforehand (.toml, .json): a frame, and information, covariance, "
+        "or position_std and rotation_std_deg.",
+    ),
+]
 Channels = Annotated[
     str | None,
     typer.Option(

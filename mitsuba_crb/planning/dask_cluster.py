@@ -49,10 +49,10 @@ class DaskCluster:
             )
         # It says in many lines what is said below in one.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
-        dask = field_library("dask")
-        dask.config.set({"distributed.comm.timeouts.connect": f"{PATIENCE}s"})
+        soon = {"distributed.comm.timeouts.connect": f"{PATIENCE}s"}
         try:
-            client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
+            with field_library("dask").config.set(soon):
+                client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise WorkerError(
                 f"no scheduler answers at {address} ({type(error).__name__}); start one with `dask scheduler`"

@@ -217,8 +217,8 @@ def test_a_full_disk_costs_what_was_in_flight(
 @pytest.mark.slow
 def test_workers_change_no_bit_and_one_that_is_killed_costs_what_it_had(scenes: Path, tmp_path: Path) -> None:
     file = scenes / "textured_wall" / "textured_wall.xml"
-    views = around(file, 6)
-    options: dict[str, Any] = {"size": (12, 8), "spp": 8, "batch": 1}
+    views = around(file, 40)
+    options: dict[str, Any] = {"size": (12, 8), "spp": 16, "batch": 1}
     whole = measure_field(file, views, tmp_path / "whole.zarr", **options)
     store = tmp_path / "views.zarr"
 
@@ -226,9 +226,11 @@ def test_workers_change_no_bit_and_one_that_is_killed_costs_what_it_had(scenes: 
         if done == 2:
             os.kill(multiprocessing.active_children()[0].pid or 0, signal.SIGKILL)
 
-    with pytest.raises(WorkerError, match=r"ended before it had answered.*of 6 views are done, and the same"):
+    with pytest.raises(
+        WorkerError, match=r"ended before it had answered.*of 40 views are done, and the same"
+    ):
         measure_field(file, views, store, workers=2, on_view=kill, **options)
-    assert 2 <= int(open_field(store).done.sum()) < 6
+    assert 2 <= int(open_field(store).done.sum()) < 40
     again = measure_field(file, views, store, workers=2, **options)
     assert values(again) == values(whole)
     assert again.dataset.attrs == whole.dataset.attrs
