@@ -49,6 +49,9 @@ if TYPE_CHECKING:
     from .measure.poses import pose_bounds as pose_bounds
     from .measure.poses import pose_table as pose_table
     from .measure.tiles import tile_information as tile_information
+    from .planning.candidates import parse_candidates as parse_candidates
+    from .planning.field_run import measure_field as measure_field
+    from .planning.view_field import open_field as open_field
     from .render.scene import SceneFile as SceneFile
     from .render.scene import load_scene as load_scene
     from .render.world import load_world as load_world
@@ -78,6 +81,9 @@ _HOME = {
     "pose_bounds": "measure.poses",
     "pose_table": "measure.poses",
     "InformationFilter": "agents.information_filter",
+    "measure_field": "planning.field_run",
+    "open_field": "planning.view_field",
+    "parse_candidates": "planning.candidates",
     "tile_information": "measure.tiles",
     "PosePrior": "bound.prior",
     "load_prior": "bound.prior",

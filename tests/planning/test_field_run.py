@@ -20,6 +20,7 @@ from small_splats import write_splats
 
 from mitsuba_crb import pose_bound, pose_bounds, se3
 from mitsuba_crb.bound.cramer_rao import PoseBound
+from mitsuba_crb.camera import Intrinsics
 from mitsuba_crb.errors import OptionError, OutputError, PoseError, StoreError, WorkerError
 from mitsuba_crb.measure.opening import open_measurable
 from mitsuba_crb.measure.options import MeasurementOptions
@@ -29,6 +30,10 @@ from mitsuba_crb.planning.candidates import Candidates, candidates_of
 from mitsuba_crb.planning.field_run import measure_field
 from mitsuba_crb.planning.layout import BLOCKED, INSIDE, MEASURED, TO_DO
 from mitsuba_crb.planning.view_field import ViewField, open_field
+from mitsuba_crb.radiance.hashgrid import HashGrid
+from mitsuba_crb.radiance.network import Design, new_weights
+from mitsuba_crb.radiance.occupancy import everywhere
+from mitsuba_crb.radiance.scene_space import SceneSpace
 
 # Few samples on small images: that standard errors exceed 10 % is expected.
 pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")
@@ -82,6 +87,33 @@ def test_each_view_is_that_of_its_pose_alone(options: dict[str, Any], tmp_path: 
     assert not is_that_of(field, 0, many[1])
     assert (field.dataset["seconds"].values > 0.0).all()
     assert field.dataset["paths"].values.min() >= 12 * 8 * 8
+
+
+@pytest.mark.parametrize("kind", ["splats", "hash grid"])
+def test_a_radiance_field_s_views_are_those_of_its_bounds(kind: str, splats: Path, tmp_path: Path) -> None:
+    if kind == "splats":
+        world: Any = splats
+        views, options = around(splats, 2), {}
+    else:
+        world = small_hash_grid()
+        views = candidates_of([se3.exp([0.3, -0.2, -2.1, 0.1, 0.2, z]) for z in (-0.3, 0.3)])
+        options = {"camera": Intrinsics((12, 8), (15.0, 15.0), (6.0, 4.0))}
+    field = measure_field(world, views, tmp_path / "views.zarr", **options)
+    for index, pose in enumerate(views.poses):
+        bound = pose_bound(world, pose=pose, **options)
+        assert bound.rank == 6
+        assert is_that_of(field, index, bound)
+    assert field.settings["deterministic"]
+    assert not field.dataset["paths"].values.any()
+
+
+def small_hash_grid() -> HashGrid:
+    design = Design(levels=4, features=2, coarsest=4, finest=24, table=2**10, hidden=16, cells=16, steps=40)
+    weights = new_weights(design, 3)
+    weights["w2"][0] *= 3.0
+    entries = np.random.default_rng(3).normal(size=design.encoding(0).n_params).astype(np.float32)
+    space = SceneSpace((0.2, -0.1, 0.4), 2.5)
+    return HashGrid("made", design, space, entries, weights, everywhere(design.cells), (0.1, 0.5, 0.9))
 
 
 def test_of_colour_and_depth_and_with_a_prior_the_information_is_the_image_s_alone(tmp_path: Path) -> None:
