@@ -1,14 +1,18 @@
 """The README's figures, into benchmarks/figures/.
 
-    python benchmarks/figures.py
+    python benchmarks/figures.py [--only bound|columns|field]
 
 bound.png: the page that `mitsuba-crb bound scenes/textured_room/textured_room.xml --plot` writes.
 columns.png: the six columns of the Jacobian on a checkerboard, by `forward` and by `flow`.
+field.png: where a camera is located well in the demo scene, what `mitsuba-crb field --plot` writes;
+field_hall.png the same of a hall by others (staircase2), if it is there.
 """
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
+import tempfile
 import warnings
 from pathlib import Path
 
@@ -20,14 +24,18 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from mitsuba_crb import cramer_rao_bound, fisher_information, pose_jacobian
-from mitsuba_crb.errors import BlindSpotWarning
+from mitsuba_crb.errors import BlindSpotWarning, SceneWarning
 from mitsuba_crb.measure.pictures import pictures_of
 from mitsuba_crb.noise import Gaussian
+from mitsuba_crb.planning.candidates import parse_candidates
+from mitsuba_crb.planning.field_run import measure_field
 from mitsuba_crb.show.bound_page import bound_figure
+from mitsuba_crb.show.field_page import field_figure, outlines_of
 from mitsuba_crb.show.plot import column_limit, draw_column, draw_render
 
 ROOT = Path(__file__).parents[1]
 FOLDER = Path(__file__).parent / "figures"
+HALL = ROOT.parent / "shared" / "data" / "mitsuba" / "staircase2" / "scene.xml"
 
 
 def scene(name: str) -> Path:
@@ -71,11 +79,46 @@ def columns() -> None:
     figure.savefig(FOLDER / "columns.png", dpi=80)
 
 
+def fields() -> None:
+    """Where in a room a camera is located well, in two rooms."""
+    path = {"type": "path", "max_depth": 4}
+    places = {
+        "field": (
+            scene("textured_room"),
+            "grid:x=-2.2:2.2,y=-1:3.6,spacing=0.55,headings=8",
+            {"size": (48, 36), "spp": 32},
+        ),
+        "field_hall": (
+            HALL,
+            "grid:x=-3:7,z=-2:4.5,spacing=0.9,headings=4",
+            {"size": (24, 24), "spp": 16, "integrator": path},
+        ),
+    }
+    for name, (world, poses, options) in places.items():
+        if not world.is_file():
+            continue
+        with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+            warnings.simplefilter("ignore", SceneWarning)
+            candidates = parse_candidates(poses, world, **options)
+            field = measure_field(world, candidates, Path(folder) / "field.zarr", workers=2, **options)
+            figure = field_figure(field, outlines_of(field, world))
+        figure.savefig(FOLDER / f"{name}.png", dpi=80)
+
+
+DRAWN = {"bound": bound_page, "columns": columns, "field": fields}
+
+
 def main() -> None:
-    """Write both."""
+    """Write all of them, or one."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--only", choices=DRAWN)
+    only = parser.parse_args().only
     FOLDER.mkdir(exist_ok=True)
-    bound_page()
-    columns()
+    for name, draw in DRAWN.items():
+        if only in (None, name):
+            draw()
 
 
 if __name__ == "__main__":
