@@ -160,6 +160,8 @@ def landmark_blocks(field: ViewField, scene: object, points: np.ndarray) -> np.n
         p = (points - pose[:3, 3]) @ pose[:3, :3]
         film = np.abs(p[:, :2]) < HALF * p[:, 2:]
         inside = np.flatnonzero(film.all(axis=1) & (p[:, 2] > 0.05))
+        if not len(inside):
+            continue
         away = points[inside] - pose[:3, 3]
         distance = np.linalg.norm(away, axis=1)
         met = hits(scene, np.broadcast_to(pose[:3, 3], away.shape), away / distance[:, None]).distance

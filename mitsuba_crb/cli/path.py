@@ -96,7 +96,7 @@ def path(
         from ..export.plan_documents import path_document, write_path_as_tum
         from ..show.plan_table import print_path
 
-        with answered(lambda to: print_path(to, store, result)):
+        with answered(lambda to: print_path(to, store, field, result)):
             if json_file is not None:
                 write_json(json_file, path_document(store, field, result))
             if tum_file is not None and result.found:

@@ -47,7 +47,7 @@ from ..information.fisher import FisherInformation
 from ..information.significance import no_information
 from ..se3 import Array
 from .layout import TO_DO
-from .one_body import body_at, information_about, seen_blocks
+from .one_body import body_at, information_about, refuse_prior, seen_blocks
 from .view_field import BODY, ViewField
 
 ONE_BODY = "the common pose of one body that carries all these views, their relative poses exactly known"
@@ -135,12 +135,14 @@ def next_views(
 
     Raises:
         PlanError: an unknown objective, a budget below 1 or above the usable views, a view that does not
-            exist, is named twice or is not measured yet, or a ridge that is not positive.
+            exist, is named twice or is not measured yet, a ridge that is not positive, or a field that was
+            measured with a prior.
     """
     if objective not in OBJECTIVES:
         raise PlanError(f"unknown objective {objective!r}; {_near(objective)}")
     if not (np.isfinite(ridge) and ridge > 0.0):
         raise PlanError(f"the ridge must be a positive number, not {ridge!r}")
+    refuse_prior(field)
     criterion = OBJECTIVES[objective]
     taken = _taken(field, have)
     candidates = _candidates(field, taken, budget)

@@ -14,10 +14,24 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import se3
+from ..errors import PlanError
 from ..information.fisher import FisherInformation
 from ..information.linearisation import Linearisation, PixelSelection
 from ..se3 import Array
 from .view_field import BODY, ViewField
+
+
+def refuse_prior(field: ViewField) -> None:
+    """Refuse a field whose ranks have a prior in them, so that they do not say what the views see.
+
+    Raises:
+        PlanError: it has.
+    """
+    if field.settings.get("prior"):
+        raise PlanError(
+            "the field was measured with a prior, which would count again with every view: measure it "
+            "without, and say what is known to the plan"
+        )
 
 
 def body_at(point: ArrayLike) -> Array:

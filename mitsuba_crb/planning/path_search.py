@@ -27,6 +27,7 @@ from ..files import Record
 from ..se3 import Array
 from .label_search import LABELS, LabelSearch, Step
 from .odometry import Odometry
+from .one_body import refuse_prior
 from .places import Places, places_of
 from .view_field import ViewField
 
@@ -118,7 +119,8 @@ def plan_path(
 
     Raises:
         PlanError: a place that does not exist or cannot be passed, a limit, a reach or a number of labels
-            that is not positive, a prior without odometry, or no view at the start that sees all directions.
+            that is not positive, a prior without odometry; with it, a field that was measured with a prior,
+            or no view at the start that sees all directions.
     """
     if not limit > 0.0 or math.isnan(limit):
         raise PlanError(f"the limit must be a positive length, not {limit:g}")
@@ -133,6 +135,7 @@ def plan_path(
         route, smallest = _by_themselves(field, places, ends, limit)
         dropped, below, shorter = 0, 0, math.inf
     else:
+        refuse_prior(field)
         search = LabelSearch(field, places, odometry, labels)
         first = search.first(ends[0], start_prior)
         route = search.shortest(first, ends[1], limit, remaining)

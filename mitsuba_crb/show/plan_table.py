@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -67,9 +68,10 @@ def print_next_views(console: Console, store: Path, field: ViewField, result: Ne
     if result.objective != "logdet":
         facts.append(("about", f"the centroid of the usable views' cameras, {_point(result.body[:3, 3])}"))
     print_facts(console, facts)
+    print_notes(console, _no_bound(field, (*result.have, *result.chosen)))
 
 
-def print_path(console: Console, store: Path, result: PathPlan) -> None:
+def print_path(console: Console, store: Path, field: ViewField, result: PathPlan) -> None:
     """The path step by step and what it keeps to, or that there is none and which limit would have one."""
     print_line(
         console,
@@ -95,7 +97,7 @@ def print_path(console: Console, store: Path, result: PathPlan) -> None:
         ("neighbours", f"{result.neighbourhood}; walls thinner than that between two places are not known of")
     )
     print_facts(console, facts)
-    print_notes(console, _notes(result))
+    print_notes(console, [*_notes(result), *_no_bound(field, result.views)])
 
 
 def _print_steps(console: Console, result: PathPlan) -> None:
@@ -163,6 +165,16 @@ def _notes(result: PathPlan) -> list[str]:
             f"{result.length_lower_limit:.4g} scene units; --labels keeps more"
         ]
     return [f"a heuristic: {result.dropped} labels were left out, and a path may exist; --labels keeps more"]
+
+
+def _no_bound(field: ViewField, views: Sequence[int]) -> list[str]:
+    """What is to be said of views that a method does not see wholly."""
+    blind = [view for view in views if field.dataset["no_bound"].values[view]]
+    if not blind:
+        return []
+    return [
+        f"no bound: the method cannot see something at {len(blind)} of these views, the first is {blind[0]}"
+    ]
 
 
 def _point(point: Array) -> str:

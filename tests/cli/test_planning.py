@@ -11,7 +11,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "planning"))
 
-from synthetic_field import small_field, small_store
+from synthetic_field import small_dataset, small_field, small_store
 
 from mitsuba_crb import load_poses, se3
 from mitsuba_crb.cli import app as cli
@@ -150,6 +150,19 @@ def test_mistakes_are_named_in_one_line(
     assert words in captured.err
     assert captured.err.count("\n") == 1
     assert captured.out == ""
+
+
+def test_views_that_the_method_does_not_see_wholly_are_noted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dataset = small_dataset(shape=(2, 2), headings=2)
+    dataset["no_bound"][:] = 1
+    dataset.to_zarr(tmp_path / "blind.zarr", zarr_format=3, consolidated=False)
+    assert cli.run(["next-view", str(tmp_path / "blind.zarr")]) == 0
+    assert "no bound: the method cannot see something at 1 of these views" in capsys.readouterr().out
+    ways = ["--from", "0", "--to", "3", "--limit", "100"]
+    assert cli.run(["path", str(tmp_path / "blind.zarr"), *ways]) == 0
+    assert "no bound: the method cannot see something at 2 of these views" in capsys.readouterr().out
 
 
 def test_an_odometry_of_other_keys_and_a_store_of_another_layout_are_refused(

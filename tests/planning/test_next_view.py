@@ -13,7 +13,9 @@ from mitsuba_crb.agents.fusion import Agent, fuse
 from mitsuba_crb.bound.prior import PosePrior
 from mitsuba_crb.errors import PlanError
 from mitsuba_crb.planning.next_view import next_views, stored_views
+from mitsuba_crb.planning.odometry import Odometry
 from mitsuba_crb.planning.one_body import body_at, information_about, seen_blocks
+from mitsuba_crb.planning.path_search import plan_path
 from mitsuba_crb.planning.view_field import ViewField
 
 OBJECTIVES = ("logdet", "trace", "lambda_min")
@@ -167,6 +169,15 @@ def test_what_cannot_be_chosen_is_refused_in_a_line(options: dict[str, object], 
     field = small_field(**SMALL, to_do=(3,), blocked=(6,))
     with pytest.raises(PlanError, match=words):
         next_views(field, **options)
+
+
+def test_a_field_with_a_prior_in_its_ranks_is_refused(field: ViewField) -> None:
+    known = ViewField(field.dataset.assign_attrs(settings='{"prior": "prior.toml"}'))
+    with pytest.raises(PlanError, match="was measured with a prior, which would count again with every view"):
+        next_views(known, budget=1)
+    with pytest.raises(PlanError, match="was measured with a prior"):
+        plan_path(known, 0, 1, limit=1.0, odometry=Odometry(0.1, 1.0))
+    assert plan_path(known, 0, 1, limit=10.0).found  # of each view by itself, the prior's part is welcome
 
 
 def test_a_field_that_sees_nothing_has_nothing_to_choose() -> None:
