@@ -570,7 +570,7 @@ sys.exit(", ".join(heavy) or 0)"""
     assert done.stdout.startswith("mitsuba-crb 0.")
 
 
-COMMANDS = [command.callback.__name__ for command in cli.app.registered_commands]
+COMMANDS = list(get_command(cli.app).commands)
 
 
 @pytest.mark.parametrize("name", [None, *COMMANDS])
