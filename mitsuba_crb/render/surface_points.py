@@ -64,7 +64,7 @@ def surface_points(
     eyes = np.array([cone.pose[:3, 3] for cone in cones])
     seen = _first_hits(scene, *_rays(cones, count, rng), eyes)
     ends = np.concatenate([seen.positions, eyes])
-    centre = np.median(ends, axis=0)
+    centre = np.mean([eyes.mean(axis=0), np.median(ends, axis=0)], axis=0)
     distance = np.linalg.norm(ends - centre, axis=1)
     radius = 1.2 * max(float(np.percentile(distance, _RIM)), float(distance[len(seen.positions) :].max()))
     origins, directions = _lines(centre, radius, count, rng)

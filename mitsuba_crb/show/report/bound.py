@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -47,7 +46,7 @@ def bound_page(document: Mapping[str, Any], pictures: Pictures | None, outlook: 
     view = space(outlook, [ellipsoid])
     left = [section("Bound", deviations(document), verdict_words(document))]
     left += [section(*part) for part in _further(document)]
-    left.append(section("What it rests on", facts(_facts(document))))
+    basis = section("What it rests on", facts(_facts(document)))
     right = []
     data: dict[str, Any] = {"space": view, "images": {}}
     if pictures is not None:
@@ -56,6 +55,8 @@ def bound_page(document: Mapping[str, Any], pictures: Pictures | None, outlook: 
         layers = picture_layers(pictures, unit=unit, displayed=unit == DISPLAY_REFERRED)
         data["images"]["view"] = layers
         right.append(section("Pictures", picture_viewer("view", layers, label="Image and derivatives")))
+    long = len(left) > 1 or document["unobserved"]
+    (right if long else left).append(basis)  # so that both columns are about as long
     sections = [side_by_side(left, right), section("In the world", space_viewer(view), kind="wide")]
     return Page(Path(str(document["scene"])).name, summary, sections, notices(document), data)
 
@@ -71,16 +72,12 @@ def notices(document: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def verdict_words(document: Mapping[str, Any]) -> Markup:
-    """The directions that are not seen, each in words with its lower limit."""
+    """The directions that are not seen, in words, and how many paths decide those that are not resolved."""
     rows = []
     for direction in document["unobserved"]:
-        limit = number(direction["std_lower_limit"])
-        least = "" if math.isinf(limit) else f"; its standard deviation exceeds {limit:.3g} (99 %)"
         factor = direction["paths_factor"]
         more = "" if factor is None else f"; about {factor} times the paths decide"
-        rows.append(
-            tag("li", verdict_mark(direction["verdict"]), f" {direction['description']}{least}{more}")
-        )
+        rows.append(tag("li", verdict_mark(direction["verdict"]), f" {direction['description']}{more}"))
     if not rows:
         return tag("p", "All six directions are seen.", class_="muted")
     return tag("ul", *rows, class_="directions")

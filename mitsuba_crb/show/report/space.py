@@ -148,7 +148,7 @@ def space(
             {"name": s.name, "pose": s.pose.tolist(), "corners": s.corners.tolist()} for s in outlook.sights
         ],
         "reach": reach,
-        "words": outlook.words,
+        "words": _words(outlook, ellipsoids),
         "alt": _alt(outlook, ellipsoids),
         "first": _first_view(outlook.sights, centre, extent, up),
     }
@@ -476,6 +476,20 @@ def _add_scattered(
 def _plain(name: str) -> str:
     """A name in plotly's texts, which know a few tags."""
     return name.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+
+
+def _words(outlook: Outlook, ellipsoids: Sequence[Ellipsoid]) -> str:
+    """What is drawn, and what it does not say."""
+    parts = [outlook.words]
+    if any(np.isfinite(e.semi_axes).any() for e in ellipsoids):
+        parts.append("Ellipsoids at 1σ and at 95 % of the probability")
+    if not all(e.is_finite for e in ellipsoids):
+        parts.append(
+            "Open line: a direction that is unseen; dashed: one that is not resolved; their lengths say nothing"
+        )
+    if outlook.normals.any():
+        parts.append("Surfaces that turn away are hidden")
+    return ". ".join(parts) + "."
 
 
 def _alt(outlook: Outlook, ellipsoids: Sequence[Ellipsoid]) -> str:

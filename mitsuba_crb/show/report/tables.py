@@ -74,6 +74,7 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[Markup]], *, caption: st
             tag("thead", tag("tr", *(tag("th", head, scope="col", **where) for head, where in columns))),
             tag("tbody", *(tag("tr", *row) for row in rows)),
             id=id_ or None,
+            class_="dense" if len(heads) > 6 else None,
         ),
         class_="scroll",
         tabindex=0,

@@ -84,13 +84,7 @@ def space_viewer(view: Mapping[str, Any]) -> Markup:
             role="application",
             aria_label=f"{view['alt']}. Arrow keys turn the view, plus and minus move it nearer or farther.",
         ),
-        tag(
-            "p",
-            f"{view['words']}. Ellipsoids at 1σ and at 95 % of the probability. Open line: a direction that "
-            "is unseen; dashed: one that is not resolved; their lengths say nothing. Surfaces that turn away "
-            "are hidden.",
-            class_="muted",
-        ),
+        tag("p", view["words"], class_="muted"),
     )
 
 
