@@ -485,7 +485,8 @@ def _words(outlook: Outlook, ellipsoids: Sequence[Ellipsoid]) -> str:
         parts.append("Ellipsoids at 1σ and at 95 % of the probability")
     if not all(e.is_finite for e in ellipsoids):
         parts.append(
-            "Open line: a direction that is unseen; dashed: one that is not resolved; their lengths say nothing"
+            "Open line: a direction that is unseen; dashed: one that is not resolved; how long these lines are "
+            "says nothing"
         )
     if outlook.normals.any():
         parts.append("Surfaces that turn away are hidden")
