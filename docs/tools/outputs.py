@@ -20,7 +20,7 @@ from pathlib import Path
 
 from pages import DOCS, blocks
 
-WIDTH = "100"
+WIDTH = "120"
 LONGEST = 200  # a line of the output
 
 
