@@ -1,4 +1,4 @@
-"""The README's figures, into benchmarks/figures/.
+"""The figures of README and documentation, into benchmarks/figures/.
 
     python benchmarks/figures.py [--only bound|columns|field]
 

@@ -1,6 +1,7 @@
 """Rigid motions SE(3): the conventions of this library, the exponential, the adjoint, other tools.
 
-Every other module cites this page; the README repeats the table between the markers (`CONVENTIONS`).
+Every other module cites this page; docs/reference/conventions.md repeats the table between the markers
+(`CONVENTIONS`).
 
 <!-- conventions -->
 | what | convention |
@@ -46,7 +47,7 @@ Frame: TypeAlias = Literal["camera", "world"]
 CONVENTIONS: str = (
     (__doc__ or "").partition("<!-- conventions -->\n")[2].partition("<!-- /conventions -->")[0]
 )
-"""The convention table, as Markdown; the README carries it verbatim between the same markers."""
+"""The convention table, as Markdown; docs/reference/conventions.md carries it verbatim."""
 
 TWIST_ORDER = ("ρx", "ρy", "ρz", "φx", "φy", "φz")
 """Order of a twist's six components, and of every 6 x 6 matrix's rows and columns."""
