@@ -92,6 +92,25 @@ def _run(block: Block, capfd: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.slow
+def test_the_site_is_built_without_a_broken_link_and_asks_no_network(tmp_path: Path) -> None:
+    pytest.importorskip("mkdocs", reason="needs the extra docs")
+    build = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
+    done = subprocess.run(build, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    pages = sorted(tmp_path.rglob("*.html"))
+    assert len(pages) > 30
+    fetched = r"<(?:script|img|iframe)[^>]* src=\"?(?:https?:)?//|<link[^>]* href=\"?(?:https?:)?//"
+    for page in pages:
+        text = page.read_text(encoding="utf-8")
+        assert not re.search(fetched, text), page.name
+        assert "arithmatex" not in text, page.name  # a formula that is not MathML
+    assert "<math" in (tmp_path / "explanation" / "flow.html").read_text(encoding="utf-8")
+    assert "--marginalize" in (tmp_path / "reference" / "commands.html").read_text(encoding="utf-8")
+    for sheet in tmp_path.rglob("*.css"):
+        assert not re.search(r"@import|url\([\"']?(?:https?:)?//", sheet.read_text(encoding="utf-8")), sheet.name
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("snippet", [code for _, code in SNIPPETS], ids=[name for name, _ in SNIPPETS])
 def test_snippets_of_python_run(snippet: str) -> None:
     done = subprocess.run(
