@@ -2,7 +2,7 @@
 
 Noise that every mean changes needs a pilot of all pixels, about as dear as the derivatives. Noise that
 changes at a threshold alone (`ThresholdNoise`) does not: a coarse render of the whole image says where the
-threshold may lie within reach, and only there is the pilot traced.
+threshold may lie within reach, and only there is the pilot traced; once, whatever rounds of paths there are.
 
 Beside what is many times as bright as white, a few paths decide whether a pixel is saturated, and the few of
 the Jacobian's that hit a lamp would tell thousands of standard deviations where the pilot's missed it. Such
@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from ..information import subset
 from ..jacobian.method import Paths
@@ -57,12 +58,12 @@ class ExpectedImage:
         if not isinstance(noise, ThresholdNoise):
             return self._pilot(pixels, max(PILOT_SPP, spp), mean)
         coarse = self.coarse[pixels[:, 1], pixels[:, 0]]
-        lowest, highest = self._neighbourhood(pixels)
+        lowest, highest = (values[pixels[:, 1], pixels[:, 0]] for values in self._ranges)
         near = noise.near_threshold(lowest, highest)
         expected, error = np.where(np.isfinite(coarse), coarse, mean), np.zeros_like(mean)
         if near.any():
             spp = max(PILOT_SPP, spp // 4)  # pixels at white are few, and the noise smooths white anyway
-            image, error[near] = self._pilot(pixels[near], spp, mean[near])
+            image, error[near] = self._pilot(pixels[near], spp, mean[near], kept=spp == PILOT_SPP)
             expected[near] = image + _GLARE * noise.excess(highest[near])
         return expected, error
 
@@ -71,26 +72,42 @@ class ExpectedImage:
         """(H, W, 3) the whole image by few paths."""
         return whole_pilot(self.view, Paths(_COARSE_SPP, self.seed, 1), self.tile, even=True)
 
-    def _neighbourhood(self, pixels: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The least and the largest coarse values (n, 3) within reach of pixels (n, 2), where finite."""
+    @cached_property
+    def _ranges(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(H, W, 3) the least and the largest coarse values within reach of each pixel, where finite."""
+        wide = (2 * _REACH + 1, 2 * _REACH + 1, 1)
+        lowest, highest = (np.where(np.isnan(self.coarse), other, self.coarse) for other in (np.inf, -np.inf))
+        lowest = ndimage.minimum_filter(lowest, wide, mode="nearest")
+        return lowest, np.maximum(ndimage.maximum_filter(highest, wide, mode="nearest"), 0.0)
+
+    @cached_property
+    def _kept(self) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+        """(H, W) of which pixels there is a pilot of the least paths, and (H, W, 2, 3) its halves there."""
         width, height = self.view.size
-        lowest, highest = np.full((len(pixels), 3), np.inf), np.zeros((len(pixels), 3))
-        for dy in range(-_REACH, _REACH + 1):
-            for dx in range(-_REACH, _REACH + 1):
-                x = np.clip(pixels[:, 0] + dx, 0, width - 1)
-                y = np.clip(pixels[:, 1] + dy, 0, height - 1)
-                np.fmin(lowest, self.coarse[y, x], out=lowest)
-                np.fmax(highest, self.coarse[y, x], out=highest)
-        return lowest, highest
+        return np.zeros((height, width), dtype=bool), np.empty((height, width, 2, 3))
 
     def _pilot(
-        self, pixels: NDArray[np.int64], spp: int, mean: NDArray[np.float64]
+        self, pixels: NDArray[np.int64], spp: int, mean: NDArray[np.float64], *, kept: bool = False
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        paths = Paths(2 * -(-spp // 2), self.seed, 2)
-        one, other = self.view.start_image(pixels, paths, purpose=PILOT, even=True)()
+        """As `of`; `kept`, those of the least paths, for whoever asks for a pixel again."""
+        if kept:
+            known, halves = self._kept
+            column, row = pixels.T
+            new = ~known[row, column]
+            if new.any():
+                halves[row[new], column[new]] = self._halves(pixels[new], spp).transpose(1, 0, 2)
+                known[row[new], column[new]] = True
+            one, other = halves[row, column].transpose(1, 0, 2)
+        else:
+            one, other = self._halves(pixels, spp)
         image, error = 0.5 * (one + other), 0.5 * (one - other)
         good = np.isfinite(image)
         return np.where(good, image, mean), np.where(good, error, 0.0)
+
+    def _halves(self, pixels: NDArray[np.int64], spp: int) -> NDArray[np.float64]:
+        """(2, n, 3) the image by half of the paths each."""
+        paths = Paths(2 * -(-spp // 2), self.seed, 2)
+        return self.view.start_image(pixels, paths, purpose=PILOT, even=True)()
 
 
 def whole_pilot(view: Measurable, paths: Paths, tile: int, *, even: bool = False) -> NDArray[np.float64]:

@@ -201,6 +201,7 @@ class Measurement:
         """
         options = self.options if final else dataclasses.replace(self.options, on_tile=None)
         following = dataclasses.replace(self, plan=plan, options=options)
+        _ = self.expected  # else each would render it anew
         prepared = ("method", "exposure", "expected")
         vars(following).update({name: value for name, value in vars(self).items() if name in prepared})
         return following
