@@ -2,7 +2,7 @@
 
     python benchmarks/field.py --views 10000 --workers-views 256   # hours
     python benchmarks/field.py --views 48 --workers-views 32       # a short look
-    python benchmarks/field.py --parts rate sizes                  # some of it
+    python benchmarks/field.py --parts sizes --seconds 0.5         # some of it, with a rate from elsewhere
 
 rate: one process, all its cores. After each batch of the field come the same views by `pose_bound`, warm:
 scene loaded, kernels traced, exposure given. The target is at most 1.05 times these, no kernel compiled after
@@ -270,12 +270,15 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=400)
     parser.add_argument("--workers-views", type=int, default=128)
     parser.add_argument("--size", type=int, default=64)
+    parser.add_argument(
+        "--seconds", type=float, default=1.0, help="of a core, of a view, without the first part"
+    )
     parser.add_argument("--parts", nargs="+", default=["rate", "workers", "sizes"])
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
     size = (arguments.size, arguments.size)
     print(f"mitsuba_crb {mitsuba_crb.__version__}, {os.cpu_count()} processors, {size[0]}x{size[1]}")
-    seconds = float("nan")
+    seconds = arguments.seconds
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         views = candidates(arguments.views, size)

@@ -54,13 +54,16 @@ def test_it_says_what_became_of_the_views_and_goes_on(
     splats: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     store = tmp_path / "views.zarr"
+    page = tmp_path / "page.png"
     arguments = ["field", str(splats), "--poses", str(poses_in(tmp_path, splats, 4)), "--out", str(store)]
+    arguments += ["--plot", str(page)]
     for _ in range(2):
         assert cli.run(arguments) == 0
         said = capsys.readouterr().out
         for words in ("4 views", "measured 4 (100%)", "rank   6 at 4", "position std [scene unit]", "median"):
             assert words in said
     assert open_field(store).usable.all()
+    assert page.stat().st_size > 1000
 
 
 @pytest.mark.parametrize(
