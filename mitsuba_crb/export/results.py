@@ -25,6 +25,9 @@ _WITHOUT = {
     "validate": "errors of an estimator, not a pose's covariance: give the JSON of the bound",
     "select": "tiles, not a pose's covariance: give the JSON of fuse",
 }
+_ABSURD = 1e100
+"""Squares of such numbers leave float64."""
+_ROUNDING = 1e-6
 _GIVE = "give what bound, fuse or align wrote with --json"
 _CAMERA = f"the camera, {AXES['mitsuba'][1]}"
 
@@ -93,15 +96,16 @@ def _estimate(document: Mapping[str, Any], where: str, misspecified: bool) -> Es
             "its pose; align it first"
         )
     bound = document["ideal"] if kind == "align" else document
+    blind = bound["unobserved"]
     found = estimate_of(
         name=_name(document, kind),
         pose=se3.as_pose(document["pose"]),
         frame=_one_of(bound["frame"], ("camera", "world")),
-        covariance=_numbers(bound["covariance"], (6, 6)),
-        information=_finite(bound["information"], (6, 6)),
-        unseen=_finite([each["direction"] for each in bound["unobserved"]], (len(bound["unobserved"]), 6)),
-        words=[f"{each['description']} ({each['verdict']})" for each in bound["unobserved"]],
-        length_scale=float(_finite([bound["length_scale"]], (1,))[0]),
+        covariance=_numbers(bound["covariance"], (6, 6)) if blind else _symmetric(bound["covariance"]),
+        information=_symmetric(bound["information"]),
+        unseen=_orthonormal([each["direction"] for each in blind]),
+        words=[f"{each['description']} ({each['verdict']})" for each in blind],
+        length_scale=_positive(bound["length_scale"]),
         body=f"the body {document['body']!r}, its own axes" if kind == "fuse" else _CAMERA,
         camera=_camera(document),
         of_camera=kind != "fuse",
@@ -120,7 +124,7 @@ def _misspecified(document: Mapping[str, Any], ideal: Estimate, where: str) -> E
             f"{where}: {ideal.words[0]}, of which the misspecified covariance says nothing; leave out "
             "--misspecified"
         )
-    covariance = _finite(own["covariance"], (6, 6))
+    covariance = _symmetric(own["covariance"])
     return estimate_of(
         name=ideal.name,
         pose=ideal.pose,
@@ -161,11 +165,30 @@ def _numbers(values: Any, shape: tuple[int, ...]) -> Array:
     return array
 
 
-def _finite(values: Any, shape: tuple[int, ...]) -> Array:
-    array = _numbers(values, shape) if values else np.zeros(shape)
-    if not np.isfinite(array).all():
-        raise ValueError("a matrix has entries that are no numbers")
-    return array
+def _symmetric(values: Any) -> Array:
+    """A finite matrix (6, 6) that may be a covariance or an information."""
+    matrix = _numbers(values, (6, 6))
+    if not (np.abs(matrix) < _ABSURD).all():  # NaN is not either
+        raise ValueError("a matrix has entries that are no numbers, or absurd ones")
+    scale = np.sqrt(np.abs(np.diagonal(matrix)))
+    if (np.abs(matrix - matrix.T) > _ROUNDING * np.outer(scale, scale)).any():
+        raise ValueError("a matrix is not symmetric")
+    return matrix
+
+
+def _orthonormal(values: Any) -> Array:
+    """Directions (q, 6)."""
+    rows = _numbers(values, (len(values), 6)) if values else np.zeros((0, 6))
+    if not ((np.abs(rows) < 2.0).all() and np.allclose(rows @ rows.T, np.eye(len(rows)), atol=_ROUNDING)):
+        raise ValueError("the unobserved directions are no orthonormal ones")
+    return rows
+
+
+def _positive(value: Any) -> float:
+    number = float(value)
+    if not 1.0 / _ABSURD < number < _ABSURD:
+        raise ValueError(f"the length scale is {value!r}")
+    return number
 
 
 def _one_of(value: Any, known: tuple[str, ...]) -> str:

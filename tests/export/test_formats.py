@@ -480,10 +480,18 @@ class TestResults:
             ({"schema": 7}, "no result of mitsuba-crb"),
             ({"covariance": [[1.0]]}, r"damaged: an array has the shape \(1, 1\)"),
             ({"information": [["inf"] * 6] * 6}, "damaged: a matrix has entries that are no numbers"),
+            ({"information": np.diag([1e308] * 6).tolist()}, "or absurd ones"),
+            ({"covariance": (np.eye(6) + np.eye(6, k=1)).tolist()}, "damaged: a matrix is not symmetric"),
+            ({"covariance": [["inf"] * 6] * 6}, "damaged: a matrix has entries"),  # nothing is unseen
             ({"pose": "here"}, "damaged"),
             ({"frame": "moon"}, "the frame 'moon'"),
             ({"unobserved": [{"direction": [1, 2]}]}, "damaged"),
+            (
+                {"unobserved": [{"direction": [3] * 6, "description": "a", "verdict": "unseen"}]},
+                "no orthonormal ones",
+            ),
             ({"length_scale": None}, "damaged"),
+            ({"length_scale": 0.0}, "the length scale is 0.0"),
         ],
     )
     def test_that_are_damaged_or_of_another_kind_are_refused(
