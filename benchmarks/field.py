@@ -204,14 +204,11 @@ class Counting:
             yield index, result
 
 
-def sizes(views: Candidates, size: tuple[int, int], folder: Path, seconds: float) -> None:
+def sizes(size: tuple[int, int], folder: Path, seconds: float) -> None:
     """Prints the third part."""
     counting, writes, write = Counting(), [], FieldStore.write
-    few = LARGEST_BATCH  # one task as large as those of many views
-    poses = np.resize(views.poses, (few, 4, 4))
-    task = Candidates(
-        poses, np.arange(few, dtype=np.int32), np.zeros(few, np.int32), views.up, {"kind": "poses"}
-    )
+    few = LARGEST_BATCH
+    task = candidates(few, size)
 
     def timed_write(self: FieldStore, *given: Any) -> None:
         start = time.perf_counter()
@@ -256,6 +253,7 @@ def sizes(views: Candidates, size: tuple[int, int], folder: Path, seconds: float
             "store [MB]": round(stored / few * VIEWS / 1e6),
             "files": len(files) * tasks,
             "workers that one parent can write for": round(of_task / float(np.median(writes))),
+            "the same by --batch 128": round(128 * seconds / float(np.median(writes))),
         }
     )
 
@@ -287,7 +285,7 @@ def main() -> None:
         if "workers" in arguments.parts:
             workers(candidates(arguments.workers_views, size), size, folder)
         if "sizes" in arguments.parts:
-            sizes(views, size, folder, seconds)
+            sizes(size, folder, seconds)
 
 
 if __name__ == "__main__":

@@ -63,6 +63,10 @@ class NoiseError(MitsubaCRBError):
     """A noise model has impossible parameters, or does not match the image."""
 
 
+class SaturatedError(NoiseError):
+    """A noise model leaves no information in any pixel."""
+
+
 class NuisanceError(MitsubaCRBError):
     """A nuisance parameter does not exist, has no derivative, or was named twice."""
 

@@ -81,6 +81,14 @@ def field(
             "tcp://HOST:PORT --nthreads 1 --nworkers N. They find the scene under the same path.",
         ),
     ] = None,
+    batch: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Views of a task, which are kept together; default: 32 of many. More are less work for who "
+            "gives them to hundreds of workers.",
+        ),
+    ] = None,
     limit: Annotated[
         float | None,
         typer.Option(
@@ -194,6 +202,7 @@ def field(
                 nuisances=marginalize or (),
                 defines=defines,
                 limit=limit,
+                batch=batch,
                 on_view=_rate(bar),
                 **options,
             )

@@ -20,7 +20,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import NoiseError, OptionError, PixelsError, RadianceError
+from ..errors import NoiseError, OptionError, PixelsError, RadianceError, SaturatedError
 from ..se3 import Array
 from .block_variance import BlockProducts
 from .blocks import in_squares
@@ -292,7 +292,7 @@ class InformationAccumulator:
         if self._count > n or n > N:
             raise PixelsError(f"{self._count} pixels were added, {n} selected, of {N} in the image")
         if not self._informative:
-            raise NoiseError(
+            raise SaturatedError(
                 f"the noise model leaves no information in any of {self._count} pixels: all are saturated or "
                 "ignored; change the exposure, or the variances"
             )

@@ -21,7 +21,7 @@ from small_splats import write_splats
 from mitsuba_crb import pose_bound, pose_bounds, se3
 from mitsuba_crb.bound.cramer_rao import PoseBound
 from mitsuba_crb.camera import Intrinsics
-from mitsuba_crb.errors import OptionError, OutputError, PoseError, StoreError, WorkerError
+from mitsuba_crb.errors import OptionError, OutputError, PoseError, SaturatedError, StoreError, WorkerError
 from mitsuba_crb.measure.opening import open_measurable
 from mitsuba_crb.measure.options import MeasurementOptions
 from mitsuba_crb.noise import Gaussian
@@ -192,6 +192,16 @@ def test_views_from_nowhere_are_not_measured(
     monkeypatch.undo()
     free = measure_field(splats, views, tmp_path / "free.zarr")
     assert np.array_equal(free.position_bound[~lost], field.position_bound[~lost])
+
+
+def test_where_all_is_saturated_an_image_tells_nothing_and_the_run_goes_on(tmp_path: Path) -> None:
+    with pytest.raises(SaturatedError, match="saturated"):
+        pose_bound(WORLD, pose=PATH.poses[0], exposure=1e-5, **FEW)
+    field = measure_field(WORLD, PATH, tmp_path / "views.zarr", exposure=1e-5, **FEW)
+    assert field.done.all()
+    assert field.rank.tolist() == [0, 0, 0]
+    assert np.isinf(field.position_bound).all()
+    assert not any(one.matrix.any() for one in field.information())
 
 
 @pytest.mark.parametrize("when", [1, 3])
