@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from ..files import atomic
 from ..noise import SRGB
 from .align_table import verdict_line
-from .plot import draw_picture
+from .plot import DIVERGING, draw_picture
 
 if TYPE_CHECKING:
     from ..estimate.photograph import PhotographAlignment
@@ -42,9 +42,10 @@ def residual_figure(result: PhotographAlignment) -> Figure:
     seen = np.abs(difference[np.isfinite(difference)])
     limit = float(np.percentile(seen, 99)) if seen.size else 0.0
     limit = limit or float(seen.max(initial=0.0)) or 1.0
-    drawn = draw_picture(axes[2], difference, cmap="RdBu_r", vmin=-limit, vmax=limit)
+    drawn = draw_picture(axes[2], difference, cmap=DIVERGING, vmin=-limit, vmax=limit)
     axes[2].set_title("photograph − render, mean of the channels", loc="left", fontsize=10)
-    bar = figure.colorbar(drawn, ax=axes[2], fraction=0.05, extend="both")
+    # as high as the picture, which a bar of its own axes is not where the picture keeps its shape
+    bar = figure.colorbar(drawn, cax=axes[2].inset_axes((1.03, 0.0, 0.04, 1.0)), extend="both")
     bar.set_label("display values" if result.display else "linear values, white is 1", fontsize=9)
     bar.ax.tick_params(labelsize=8)
     names = (Path(str(result.settings[key])).name for key in ("photograph", "scene"))

@@ -1,19 +1,21 @@
 """Pictures of a bound: the render, the Jacobian's columns, where the information is, the ellipsoids.
 
-Every function draws into the axes that it is given and returns what it drew; `page` composes them.
-Nothing here uses pyplot, so that no global state of matplotlib's is read or changed.
+Every function draws into the axes that it is given and returns what it drew; `bound_page` composes them.
+Nothing here uses pyplot, so that no global state of matplotlib's is read or changed. Colour maps have a
+luminance that rises, or that falls from the middle to both sides, in hues that colour-blind people tell
+apart; what else is told by colour is told by a marker or a line's style as well.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.colors import LogNorm
 from matplotlib.patches import Polygon, Rectangle
-from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator, NullLocator
 
 from ..noise.covariance import symmetric_root
@@ -28,13 +30,18 @@ if TYPE_CHECKING:
 MAP_CELLS = 64
 """Cells that the information map is wide, at least, where the image has so many pixels."""
 
+SEQUENTIAL = "magma"
+"""Colour map of what is not negative: its luminance rises from black to white."""
+DIVERGING = "RdBu_r"
+"""Colour map of what has a sign: blue is negative, red positive, and the brighter the nearer to zero."""
+
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # ITU-R BT.709, of linear RGB
 _UNMEASURED = "#c9c9c9"
 MUTED = "#606060"
 _COLOURS = {"position": "#2166ac", "rotation": "#b2182b"}
 _CHOSEN = "#e6550d"
-_MARKERS = "os^vD"
-_RULES = ("#e6550d", "#1b7837", "#2166ac", "#762a83", "#606060")
+_RULES = (("#e6550d", "o-"), ("#1b7837", "s--"), ("#2166ac", "^-."), ("#762a83", "v:"), ("#606060", "D-"))
+"""Colour, marker and line of each rule."""
 AXIS_NAMES = {"position": ("x", "y", "z"), "rotation": ("pitch", "yaw", "roll")}
 _UNITS = {"position": "scene unit", "rotation": "deg"}
 _PLANES = ((0, 1), (0, 2), (1, 2))
@@ -72,7 +79,7 @@ def draw_column(ax: Axes, column: npt.NDArray[np.floating[Any]], *, limit: float
         limit: the symmetric colour limit, in the column's unit; default: `column_limit`.
     """
     limit = column_limit(column[..., None]) if limit is None else limit
-    return draw_picture(ax, column @ _LUMINANCE, cmap="RdBu_r", vmin=-limit, vmax=limit)
+    return draw_picture(ax, column @ _LUMINANCE, cmap=DIVERGING, vmin=-limit, vmax=limit)
 
 
 def column_limit(columns: npt.NDArray[np.floating[Any]]) -> float:
@@ -115,7 +122,7 @@ def draw_information(
     drawn = draw_picture(
         ax,
         trace,
-        cmap="magma",
+        cmap=SEQUENTIAL,
         norm=LogNorm(low, top, clip=True),
         extent=(-0.5, columns * side - 0.5, rows * side - 0.5, -0.5),
     )
@@ -249,13 +256,9 @@ def draw_tiles(
         corner = (x - 0.5, y - 0.5)
         if index in order:
             drawn.append(ax.add_patch(Rectangle(corner, width, height, fill=False, color=_CHOSEN, lw=1.4)))
-            label = ax.text(x + width / 2 - 0.5, y + height / 2 - 0.5, str(order[index]), color="white")
-            label.set(
-                ha="center",
-                va="center",
-                fontsize=8,
-                path_effects=[withStroke(linewidth=2, foreground="black")],
-            )
+            place = (x + width / 2 - 0.5, y + height / 2 - 0.5)
+            badge = {"boxstyle": "round,pad=0.2", "fc": "white", "ec": _CHOSEN, "lw": 0.8}
+            label = ax.text(*place, str(order[index]), ha="center", va="center", fontsize=8, bbox=badge)
             drawn.append(label)
         else:
             drawn.append(ax.add_patch(Rectangle(corner, width, height, color="white", alpha=0.62, lw=0)))
@@ -283,10 +286,11 @@ def draw_budget_curve(
             budgets, limit, high + margin, color=_UNMEASURED, alpha=0.6, lw=0, label="out of reach"
         )
     ]
-    styles = zip(values, finite, ("o", "s", "^", "v", "D"), _RULES, strict=False)
-    for name, numbers, marker, colour in styles:
-        drawn += ax.plot(budgets, numbers, marker=marker, markersize=4, lw=1.4, color=colour, label=name)
-    ax.set(ylim=(low - margin, high + margin), xlim=(min(budgets), max(budgets)))
+    for name, numbers, (colour, style) in zip(values, finite, cycle(_RULES), strict=False):
+        drawn += ax.plot(budgets, numbers, style, markersize=4, lw=1.4, color=colour, label=name)
+    ends = np.array([min(budgets), max(budgets)])
+    ax.set(ylim=(low - margin, high + margin), xlim=ends + 0.02 * np.ptp(ends) * np.array([-1, 1]))
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.grid(alpha=0.25)
     ax.tick_params(labelsize=9, colors=MUTED)
     drawn.append(ax.legend(fontsize=9, frameon=False, loc="lower right"))

@@ -41,7 +41,8 @@ _DRAWN = 60
 _TILT = 0.1
 _LOST = "#b2182b"
 _AXES = "xyz"
-_COLOURS = "viridis_r"
+COLOURS = "viridis_r"
+"""Colour map of the bound on position: the darker, the less is known."""
 
 
 def poses_figure(table: PoseTable, *, sigma: float = _SIGMA) -> Figure:
@@ -69,7 +70,7 @@ def poses_figure(table: PoseTable, *, sigma: float = _SIGMA) -> Figure:
         ax.set_xlabel(f"{_AXES[plane[0]]} [scene unit]", fontsize=9)
         ax.set_ylabel(f"{_AXES[plane[1]]} [scene unit]", fontsize=9)
     if norm is not None:
-        bar = figure.colorbar(ScalarMappable(norm, _COLOURS), ax=figure.axes[1], pad=0.02)
+        bar = figure.colorbar(ScalarMappable(norm, COLOURS), ax=figure.axes[1], pad=0.02)
         bar.set_label("1σ of position, all axes together [scene unit]", fontsize=9)
         bar.ax.tick_params(which="both", labelsize=8)
     size = f", drawn {factor:g} times as large" if factor != 1.0 else ""
@@ -79,6 +80,7 @@ def poses_figure(table: PoseTable, *, sigma: float = _SIGMA) -> Figure:
     low = figure.add_subplot(grid[2, :], sharex=top)
     draw_along(low, table, [row.rotation_deg for row in rows], "rotation\n[deg]")
     low.set_xlabel(_place_label(table), fontsize=9)
+    figure.align_ylabels([top, low])
     top.tick_params(labelbottom=False)
     top.set_title("1σ bound along the path, the three axes together", loc="left", fontsize=12)
     if table.lost:
@@ -126,7 +128,8 @@ def draw_path(
     drawn: list[Artist] = []
     drawn += ax.plot(*places.T, color="black", lw=0.6, alpha=0.35, zorder=1)
     x, y = places.T
-    marks = ax.scatter(x[seen], y[seen], c=values[seen], cmap=_COLOURS, norm=norm, s=22, zorder=4, lw=0)
+    marks = ax.scatter(x[seen], y[seen], c=values[seen], cmap=COLOURS, norm=norm, s=24, zorder=4)
+    marks.set(linewidth=0.4, edgecolor="black")  # the lightest would hardly be seen on white
     part = ~seen & ~blank
     drawn.append(marks)
     drawn.append(ax.scatter(x[part], y[part], facecolor="white", edgecolor=_LOST, s=26, zorder=4))

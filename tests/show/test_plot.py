@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from mitsuba_crb.measure.pictures import pictures_of
 from mitsuba_crb.noise import Gaussian
+from mitsuba_crb.show import align_page, plot, poses_page, team_page, trials_page
 from mitsuba_crb.show import bound_page as page
-from mitsuba_crb.show import plot
 
 TURN = Rotation.from_euler("xyz", [20, 30, 10], degrees=True).as_matrix()
 
@@ -314,3 +314,87 @@ def test_a_budget_curve_leaves_out_what_does_not_exist_and_shades_what_is_out_of
     assert vertices[:, 1].min() == 2.0
     assert vertices[:, 1].max() == high
     assert {text.get_text() for text in ax.get_legend().get_texts()} == {"chosen", "random", "out of reach"}
+
+
+def luminance(colours):
+    """Of sRGB colours (n, 3): relative luminance, (n,)."""
+    linear = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+    return linear @ [0.2126, 0.7152, 0.0722]
+
+
+def by_deuteranopes(colours):
+    """sRGB colours (n, 3) as those see them who lack the middle cones; Viénot, Brettel and Mollon 1999."""
+    linear = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+    red_green = linear @ [0.29275, 0.70725, 0.0]
+    blue = linear @ [-0.02234, 0.02234, 1.0]
+    return np.clip(np.stack([red_green, red_green, blue], axis=1), 0.0, 1.0)
+
+
+@pytest.mark.parametrize("name", [plot.SEQUENTIAL, poses_page.COLOURS])
+def test_a_sequential_map_survives_greyscale(name):
+    steps = np.diff(luminance(mpl.colormaps[name](np.linspace(0, 1, 64))[:, :3]))
+    assert np.all(steps > 0) or np.all(steps < 0)
+
+
+def test_the_diverging_map_darkens_to_both_sides_and_they_differ_to_the_colour_blind():
+    colours = mpl.colormaps[plot.DIVERGING](np.linspace(0, 1, 65))[:, :3]
+    steps = np.diff(luminance(colours))
+    assert np.all(steps[:32] > 0)
+    assert np.all(steps[32:] < 0)
+    below, above = by_deuteranopes(colours[8:25]), by_deuteranopes(colours[56:39:-1])
+    assert np.all(np.abs(below - above).max(axis=1) > 0.1)
+
+
+IMAGE = np.random.default_rng(0).random((6, 8, 3))
+DRAWN = {
+    plot.draw_render: (IMAGE,),
+    plot.draw_column: (IMAGE - 0.5,),
+    plot.draw_information: (IMAGE[..., 0],),
+    plot.draw_picture: (IMAGE,),
+    plot.draw_ellipse: (np.ones(3), np.eye(3), (0, 1)),
+    plot.draw_tiles: (IMAGE, np.array([[0, 0, 8, 3], [0, 3, 8, 3]]), [(0, 1)]),
+    plot.draw_budget_curve: ([1, 2], {"chosen": [1.0, 2.0]}),
+    trials_page.draw_calibration: (np.arange(1.0, 9.0),),
+    trials_page.draw_squares: (np.arange(1.0, 9.0),),
+    trials_page.draw_ratios: (np.ones(6), np.tile([0.5, 1.5], (6, 1))),
+}
+NAMED = {plot.draw_ellipse: {"reach": 2.0}, plot.draw_budget_curve: {"bound": [2.0, 3.0]}}
+ELSEWHERE = {plot.draw_ellipsoid, poses_page.draw_path, poses_page.draw_along}
+
+
+def test_every_public_plot_draws_where_it_is_told_and_returns_what_it_drew():
+    public = {
+        value
+        for module in (plot, trials_page, poses_page, page, team_page, align_page)
+        for name, value in vars(module).items()
+        if name.startswith("draw_") and value.__module__ == module.__name__
+    }
+    assert public == {*DRAWN, *ELSEWHERE}
+    for draw, arguments in DRAWN.items():
+        figure = Figure()
+        other, ax = figure.subplots(1, 2)
+        before = len(other.get_children())
+        drawn = draw(ax, *arguments, **NAMED.get(draw, {}))
+        drawn = drawn if isinstance(drawn, list) else [drawn]
+        assert drawn, draw
+        for artist in drawn:
+            assert isinstance(artist, mpl.artist.Artist)
+            assert artist.axes is ax
+        assert len(other.get_children()) == before
+        assert len(figure.axes) == 2
+
+
+def test_the_ellipsoid_returns_what_it_drew_in_each_of_its_axes():
+    panels = Figure().subplots(1, 3)
+    drawn = plot.draw_ellipsoid(panels, synthetic_view.bound(synthetic_view.jacobian()), "rotation")
+    assert {artist.axes for artist in drawn} == set(panels)
+
+
+def test_rules_are_told_apart_without_colour():
+    ax = axes()
+    values = {name: [1.0, 2.0] for name in "abcde"}
+    plot.draw_budget_curve(ax, [1, 9], values, bound=[2.0, 3.0])
+    assert len({(line.get_marker(), line.get_linestyle()) for line in ax.lines}) == 5
+    assert len({line.get_linestyle() for line in ax.lines}) >= 4
+    ticks = ax.get_xticks()
+    np.testing.assert_array_equal(ticks, np.round(ticks))

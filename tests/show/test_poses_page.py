@@ -9,7 +9,8 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
+from matplotlib.colors import LogNorm, to_hex
+from matplotlib.figure import Figure
 from rigs import made
 
 from mitsuba_crb import se3
@@ -92,3 +93,13 @@ def test_a_single_pose_and_a_lost_camera_can_be_drawn(table: PoseTable, tmp_path
     some = dataclasses.replace(table, rows=table.rows[which], places=table.places[which])
     page.write_poses_plot(tmp_path / "page.png", some)
     assert (tmp_path / "page.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_drawing_returns_what_it_drew_where_it_was_told(table: PoseTable) -> None:
+    _, ax, other = Figure().subplots(1, 3)
+    norm = LogNorm(1e-4, 1e-2)
+    path = page.draw_path(ax, table.rows, (0, 2), sigma=3.0, factor=1.0, extent=2.0, norm=norm)
+    along = page.draw_along(other, table, [row.position for row in table.rows], "position")
+    assert {artist.axes for artist in path} == {ax}
+    assert {artist.axes for artist in along} == {other}
+    assert len(path) > len(table.rows)
