@@ -5,7 +5,7 @@
 bound.png: the page that `mitsuba-crb bound scenes/textured_room/textured_room.xml --plot` writes.
 columns.png: the six columns of the Jacobian on a checkerboard, by `forward` and by `flow`.
 field.png: where a camera is located well in the demo scene, what `mitsuba-crb field --plot` writes;
-field_hall.png the same of a hall by others (staircase2), if it is there.
+field_hall.png the same of a hall by others (sponza), if it is there.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from mitsuba_crb.show.plot import column_limit, draw_column, draw_render
 
 ROOT = Path(__file__).parents[1]
 FOLDER = Path(__file__).parent / "figures"
-HALL = ROOT.parent / "shared" / "data" / "mitsuba" / "staircase2" / "scene.xml"
+HALL = ROOT.parent / "shared" / "data" / "mitsuba" / "sponza" / "scene_m39.xml"
 
 
 def scene(name: str) -> Path:
@@ -81,7 +81,6 @@ def columns() -> None:
 
 def fields() -> None:
     """Where in a room a camera is located well, in two rooms."""
-    path = {"type": "path", "max_depth": 4}
     places = {
         "field": (
             scene("textured_room"),
@@ -90,8 +89,8 @@ def fields() -> None:
         ),
         "field_hall": (
             HALL,
-            "grid:x=-3:7,z=-2:4.5,spacing=0.9,headings=4",
-            {"size": (24, 24), "spp": 16, "integrator": path},
+            "grid:x=-12:12,y=1.7,z=-6:6,spacing=2.4,headings=4",
+            {"size": (32, 24), "spp": 1024},
         ),
     }
     for name, (world, poses, options) in places.items():

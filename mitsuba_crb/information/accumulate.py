@@ -285,6 +285,7 @@ class InformationAccumulator:
 
         Raises:
             PixelsError: as `information`.
+            SaturatedError: no pixel tells anything.
         """
         n, N = selection.selected, selection.total
         if self._count == 0:

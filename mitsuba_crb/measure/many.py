@@ -19,9 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from ..bound.cramer_rao import PoseBound
-from ..errors import NoiseError, SceneWarning
+from ..bound.cramer_rao import PoseBound, cramer_rao_bound
+from ..errors import NoiseError, SaturatedError, SceneWarning
 from ..files import jsonable
+from ..information.significance import no_information
 from ..noise import NoiseModel
 from ..render.fingerprint import mask_fingerprint
 from .exposure import exposed, start_metering
@@ -67,6 +68,8 @@ class Shared:
             with named(station):
                 try:
                     found = self._measured(options)
+                except SaturatedError as error:
+                    found = self._nothing(station, error)
                 except NoiseError:
                     if self.noise is not None or options.get("exposure") != "auto":
                         raise
@@ -74,6 +77,11 @@ class Shared:
         if found.provenance.get("sampling", {}).get("interrupted"):
             raise KeyboardInterrupt
         return found
+
+    def _nothing(self, station: Station, error: SaturatedError) -> PoseBound:
+        """Of a view that is saturated everywhere, such as one into a lamp."""
+        blank = cramer_rao_bound(no_information(variable="camera", pose=station.pose), prior=self.prior)
+        return dataclasses.replace(blank, provenance={**blank.provenance, "warnings": [str(error)]})
 
     def _measured(self, options: MeasurementKeywords) -> PoseBound:
         return pose_bound(self.scene, self.noise, prior=self.prior, nuisances=self.nuisances, **options)

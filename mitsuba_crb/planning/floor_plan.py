@@ -17,11 +17,12 @@ from ..radiance.field import Field
 from ..render.lending import in_turn
 from ..se3 import Array
 from .plan_view import PlanView
-from .surface_hits import crossings
-from .surroundings import box_corners
+from .surface_hits import crossings, hits
 
 _LOWER = 0.25
-"""Where the second outline is cut, from the floor to the height."""
+"""Where the second outline is cut, from what is mostly below to the height."""
+_DROPPED = 16
+"""Rays down along each axis of the plan, that find what is below."""
 _LINES = 360
 """Along each axis of the plan."""
 _STEEP = np.sin(np.radians(44.0))
@@ -58,10 +59,12 @@ def floor_plan(world: Any, up: Array, low: Array, high: Array, height: float) ->
         return None
     plan = PlanView.of(up)
     heights = [height]
-    corners = box_corners(loaded)
-    if corners is not None:
-        ends = plan.height(corners)
-        floor = float(ends.min() if plan.axes[plan.up_axis] @ up > 0.0 else ends.max())
+    steps = (np.arange(_DROPPED) + 0.5) / _DROPPED
+    grid = low + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2) * (high - low)
+    starts = plan.points(grid, height)
+    drop = hits(loaded, starts, np.broadcast_to(-up, starts.shape)).distance
+    if np.isfinite(drop).any():
+        floor = height - float(np.median(drop[np.isfinite(drop)])) * np.sign(plan.axes[plan.up_axis] @ up)
         heights.append(floor + _LOWER * (height - floor))
     return FloorPlan(tuple(heights), tuple(_pieces(loaded, plan, low, high, each) for each in heights))
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bound.cramer_rao import PoseBound
-from ..errors import MitsubaCRBError, OptionError, SaturatedError, WorkerError
+from ..errors import MitsubaCRBError, OptionError, WorkerError
 from ..information.identifiability import CONFIDENCE
 from ..measure.many import Shared, load_shared
 from ..measure.opening import fingerprint
@@ -135,17 +135,7 @@ def _open(setup: Setup, views: Views) -> Shared:
 
 
 def _measured(shared: Shared, station: Station, limit: float | None) -> dict[str, Any]:
-    """One view's variables; where every pixel is saturated, those of an image that tells nothing."""
     start = time.perf_counter()
-    try:
-        found = _seen(shared, station, limit)
-    except SaturatedError:
-        found = {name: np.full(variable.shape, variable.unseen) for name, variable in MEASUREMENTS.items()}
-        found["status"] = MEASURED
-    return {**found, "seconds": time.perf_counter() - start}
-
-
-def _seen(shared: Shared, station: Station, limit: float | None) -> dict[str, Any]:
     spent = 0
     if limit is not None:
         coarse = _coarser(shared)
@@ -156,7 +146,7 @@ def _seen(shared: Shared, station: Station, limit: float | None) -> dict[str, An
             shared = coarse
     bound = shared.bound(station)
     values = view_values(bound)
-    return {**values, "paths": spent + values["paths"]}
+    return {**values, "paths": spent + values["paths"], "seconds": time.perf_counter() - start}
 
 
 def _coarser(shared: Shared) -> Shared:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
@@ -21,8 +22,10 @@ from mitsuba_crb.errors import (
     OptionError,
     PoseError,
     PrecisionError,
+    SaturatedError,
     SceneWarning,
 )
+from mitsuba_crb.export.pose_files import PoseFiles
 from mitsuba_crb.measure.pose_table import PoseRow, PoseTable
 from mitsuba_crb.measure.poses import pose_table
 from mitsuba_crb.noise import Gaussian
@@ -129,6 +132,20 @@ def test_where_nothing_is_seen_the_rank_is_zero_and_it_is_no_error(exposure: Any
         assert np.isinf(row.position_std).all()
         assert "seen" not in row.verdicts
         assert np.isinf(row.ellipsoid).all()
+
+
+def test_a_view_that_is_saturated_everywhere_is_a_row_of_rank_zero_and_says_so(tmp_path: Path) -> None:
+    """As one into a lamp, by the exposure of all poses."""
+    with pytest.raises(SaturatedError, match="saturated"):
+        pose_bound(WORLD, pose=PATH[0], exposure=1e-6, **FEW)
+    record = PoseFiles(tmp_path / "rows.json", None)
+    table = pose_table(WORLD, PATH[:2], exposure=1e-6, record=record, **FEW)
+    assert [row.rank for row in table.rows] == [0, 0]
+    assert all(any("saturated" in note for note in row.notes) for row in table.rows)
+    assert np.isinf(table.rows[0].position_std).all()
+    np.testing.assert_allclose(table.rows[0].pose, PATH[0])
+    (known,) = pose_bounds(WORLD, PATH[:1], prior=1e3 * np.eye(6), exposure=1e-6, **FEW)
+    assert np.isfinite(known.position_std).all()
 
 
 def test_where_all_is_black_it_says_why() -> None:
