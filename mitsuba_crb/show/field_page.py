@@ -7,6 +7,7 @@ a disc.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -49,6 +50,8 @@ _QUANTITIES: tuple[tuple[Quantity, str, str], ...] = (
 )
 _MARGIN = 0.1
 """Of the extent, beyond the outermost positions."""
+_APART = 0.15
+"""Of a colour bar: its ticks are as far apart."""
 _PATHS = (("#d6006e", "-"), ("black", "--"), ("#1b7837", ":"), ("#e6550d", "-."))
 
 
@@ -119,7 +122,7 @@ def next_views_figure(
     handles.append(_mark("o", _PATHS[0][0], "next views, in this order"))
     if len(have):
         handles.append(_mark("o", "#1a1a1a", "views at hand"))
-    _legend(figure, handles)
+    _legend(figure, handles, 3)
     return figure
 
 
@@ -138,7 +141,7 @@ def paths_figure(
         draw_path(ax, field, views, label=label, colour=colour, style=style)
     handles += [Line2D([], [], color=c, ls=s, lw=2.2, label=label) for (label, _), (c, s) in styles]
     handles += [_mark("o", MUTED, "from"), _mark("s", MUTED, "to")]
-    _legend(figure, handles)
+    _legend(figure, handles, 3)
     return figure
 
 
@@ -204,21 +207,21 @@ def _colour_bar(figure: Figure, axes: Any, cmap: Any, norm: Any, label: str) -> 
     bar.ax.tick_params(labelsize=8)
 
 
-def round_ticks(low: float, high: float, most: int = 7) -> list[float]:
-    """Numbers of one digit from `low` to `high`: 1, 2, 5 of each power of ten, or fewer, or all ten."""
+def round_ticks(low: float, high: float) -> list[float]:
+    """Numbers of one digit from `low` to `high`, so far apart on a logarithmic scale that labels fit."""
+    apart = _APART * math.log(high / low)
     powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    for digits in ((1, 2, 3, 4, 5, 6, 7, 8, 9), (1, 2, 3, 5, 7), (1, 2, 5), (1, 3), (1,)):
+    for digits in ((1, 2, 3, 4, 5, 6, 7, 8, 9), (1, 2, 3, 5, 7), (1, 2, 3, 5), (1, 2, 5), (1, 3), (1,)):
         ticks = [digit * 10.0**power for power in powers for digit in digits]
         ticks = [tick for tick in ticks if low <= tick <= high]
-        if len(ticks) <= most:
+        if all(math.log(b / a) >= apart for a, b in itertools.pairwise(ticks)):
             return ticks
-    return ticks[:: -(-len(ticks) // most)]
+    return ticks[:: math.ceil(apart / math.log(10.0))]
 
 
-def _legend(figure: Figure, handles: list[Any]) -> None:
-    figure.legend(
-        handles=handles, loc="outside lower center", ncols=min(4, len(handles)), fontsize=9, frameon=False
-    )
+def _legend(figure: Figure, handles: list[Any], columns: int = 4) -> None:
+    ncols = min(columns, len(handles))
+    figure.legend(handles=handles, loc="outside lower center", ncols=ncols, fontsize=9, frameon=False)
 
 
 def _mark(marker: str, colour: str, label: str) -> Line2D:
