@@ -152,6 +152,17 @@ def test_mistakes_are_named_in_one_line(
     assert captured.out == ""
 
 
+def test_both_draw_a_plan(store: Path, tmp_path: Path) -> None:
+    views, way, none = (tmp_path / f"{name}.png" for name in ("views", "way", "none"))
+    ways = ["--from", "0", "--to", "10"]
+    assert cli.run(["next-view", str(store), "--budget", "2", "--have", "3", "--plot", str(views)]) == 0
+    assert cli.run(["path", str(store), *ways, "--limit", "10", "--plot", str(way)]) == 0
+    for file in (views, way):
+        assert file.read_bytes().startswith(b"\x89PNG")
+    assert cli.run(["path", str(store), *ways, "--limit", "1e-5", "--plot", str(none)]) == 1
+    assert not none.exists()
+
+
 def test_views_that_the_method_does_not_see_wholly_are_noted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
