@@ -163,18 +163,27 @@ def room() -> mi.Scene:
     return mitsuba_crb.load_scene(ROOM)
 
 
-def viewed(pose: np.ndarray, size: tuple[int, int]) -> mi.Sensor:
-    """The room's camera at another pose."""
+@functools.cache
+def camera(size: tuple[int, int]) -> mi.Sensor:
+    """Like the room's, of another size."""
     return mi.load_dict(
         {
             "type": "perspective",
+            "id": "camera",
             "fov": FOV,
             "near_clip": 0.01,
             "far_clip": 100.0,
-            "to_world": mi.ScalarTransform4f(pose.tolist()),
             "film": {"type": "hdrfilm", "width": size[0], "height": size[1], "rfilter": {"type": "gaussian"}},
         }
     )
+
+
+def viewed(pose: np.ndarray, size: tuple[int, int]) -> mi.Sensor:
+    """The camera moved there; a new one would be compiled anew."""
+    parameters = mi.traverse(camera(size))
+    parameters["to_world"] = mi.Transform4f(pose.astype(np.float32))
+    parameters.update()
+    return camera(size)
 
 
 def rendered(pose: np.ndarray, size: tuple[int, int]) -> np.ndarray:
