@@ -242,7 +242,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--store", type=Path, help="keeps the field, or takes one that is there")
-    parser.add_argument("--images", type=int, default=4, help="localisers by images, each way")
+    parser.add_argument("--images", type=int, default=2, help="localisers by images, each way")
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")  # of imprecision, in every other view of plain walls
     with tempfile.TemporaryDirectory() as folder:
@@ -279,15 +279,18 @@ def compare(field: ViewField, images: int) -> None:
         for name, plan in ways.items()
         if images
     }
-    print(f"\nroot mean square of the position's error [m], limit {LIMIT}")
+    print(
+        f"\nlargest root mean square of the position's error on the way [m], limit {LIMIT}; by images, of few"
+    )
+    print("runs, that of error over bound after each image")
     print(f"  {'':<10}{'largest bound':>14}{'drawn':>10}{'images':>10}")
     for name, plan in ways.items():
         squares = np.concatenate([drawn[name].before[:, 1:], drawn[name].after], axis=1) ** 2
         worst = float(np.sqrt(squares.mean(axis=0)).max())
         by_images = ""
         if images:
-            found = np.concatenate([rendered[name].before[:, 1:], rendered[name].after], axis=1)
-            by_images = f"{np.sqrt((found**2).mean(axis=0)).max():.3f}"
+            found = rendered[name].after / plan.after
+            by_images = f"{np.sqrt((found**2).mean()):.2f}"
         print(f"  {name:<10}{plan.smallest_limit:>14.3f}{worst:>10.3f}{by_images:>10}")
     draw(field, ways, drawn, rendered)
 
