@@ -27,6 +27,7 @@ FIGURES = [
     ROOT / "benchmarks" / name
     for name in (
         "figures/basin.png",
+        "figures/bound.png",
         "figures/columns.png",
         "figures/forward_violated.png",
         "paper/calibration.png",
