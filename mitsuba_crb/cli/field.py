@@ -33,6 +33,7 @@ from .options import (
     Pixels,
     Precision,
     Prior,
+    Report,
     Scene,
     Seed,
     Sensor,
@@ -43,6 +44,7 @@ from .options import (
     Variant,
 )
 from .outcome import answered, complain, foreseen, measuring
+from .reports import check_report, report_field
 
 if TYPE_CHECKING:
     from ..camera import Intrinsics
@@ -51,6 +53,7 @@ if TYPE_CHECKING:
 
 
 def field(
+    context: typer.Context,
     scene: Scene,
     poses: Annotated[
         str,
@@ -136,6 +139,7 @@ def field(
         Path | None,
         typer.Option("--plot", metavar="FILE", help="Write maps of the bounds over the floor plan as PNG."),
     ] = None,
+    report_file: Report = None,
     variant: Variant = None,
     debug: Debug = False,
 ) -> int:
@@ -178,7 +182,8 @@ def field(
         noise = parse_noise(sigma, noise_file)
         inputs = view_files(scene, None, camera, pixels, body_from_camera)
         inputs += [file for file in (prior, noise_file) if file is not None]
-        check_targets({"--plot": plot_file}, inputs)
+        check_targets({"--plot": plot_file, "--report": report_file}, inputs)
+        check_report(report_file)
 
         from ..planning.candidates import parse_candidates
         from ..planning.field_run import measure_field
@@ -212,10 +217,16 @@ def field(
                 "goes on from there"
             )
         with answered(lambda to: print_field(to, found, f"{poses}: {candidates}", notes)):
+            if plot_file is not None or report_file is not None:
+                from ..planning.world_at_hand import world_again
+
+                shown = world_again(world, options)
             if plot_file is not None:
                 from ..show.field_page import write_field_page
 
-                write_field_page(plot_file, found, world)
+                write_field_page(plot_file, found, shown)
+            if report_file is not None:
+                report_field(report_file, context, found, shown, options)
         return 130 if found.interrupted else 0
 
 

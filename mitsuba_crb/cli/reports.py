@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ..measure.report import BoundReport
     from ..measure.team_file import Team
     from ..measure.teams import TeamFusion, TeamSelection
+    from ..planning.view_field import ViewField
     from ..show.report import Origin
 
 
@@ -102,6 +103,18 @@ def report_selection(path: Path, context: typer.Context, team: Team, result: Tea
         _of_team(team, images=False),
         _origin(context),
     )
+
+
+def report_field(
+    path: Path, context: typer.Context, field: ViewField, world: Any, options: Mapping[str, Any]
+) -> None:
+    """Write the page of a field of views; `world` is loaded."""
+    from ..planning.field_outlook import field_outlook
+    from ..show.field_page import outlines_of
+    from ..show.report import write_field_report
+
+    seen = field_outlook(field, world, options)
+    write_field_report(path, field, seen, outlines_of(field, world), _origin(context))
 
 
 def _of_team(team: Team, *, images: bool = True) -> Outlook:

@@ -19,6 +19,15 @@ SHOWN, UNSEEN, NOT_RESOLVED, INSIDE_SOLID, NOTHING, TO_DO = range(6)
 """What a position is: there is a number; no view has one, and a direction is unseen; or not resolved; it is
 inside a solid; every view of it is blocked or shows nothing; not all of its views are measured yet."""
 
+WORDS = {
+    UNSEEN: "a direction is unseen",
+    NOT_RESOLVED: "not resolved",
+    INSIDE_SOLID: "inside a solid",
+    NOTHING: "nothing to see",
+    TO_DO: "not measured yet",
+}
+"""Of those without a number."""
+
 _SAME = 1e-6
 """Of the extent: positions that differ by less are one."""
 _UNEVEN = 0.01
@@ -30,7 +39,7 @@ class PlanValues:
     """One number for each position in the plan."""
 
     positions: Array
-    """(p, 2) in the plan's coordinates [scene unit]."""
+    """(p, 2) in the plan's coordinates; of marks (p, 3) in the world [scene unit]."""
     values: Array
     """(p,) bound or rank; NaN where there is none."""
     kind: NDArray[np.int64]
@@ -49,8 +58,20 @@ def plan_values(field: ViewField, quantity: Quantity, *, worst: bool = False) ->
         quantity: `position` or `rotation` for the bound (the root of the trace), or `rank`.
         worst: in place of the best.
     """
-    plan = PlanView.of(field.up)
-    positions, group = grouped(plan.flat(field.poses[:, :3, 3]))
+    positions, group = grouped(PlanView.of(field.up).flat(field.poses[:, :3, 3]))
+    return group_values(field, quantity, positions, group, worst=worst)
+
+
+def group_values(
+    field: ViewField, quantity: Quantity, positions: Array, group: NDArray[np.int64], *, worst: bool = False
+) -> PlanValues:
+    """The same of any groups of views.
+
+    Args:
+        field, quantity, worst: as for `plan_values`.
+        positions: (p, ...) of the groups.
+        group: (n,) which one each view is in.
+    """
     numbers = {
         "position": field.position_bound,
         "rotation": field.rotation_bound_deg,
@@ -58,15 +79,15 @@ def plan_values(field: ViewField, quantity: Quantity, *, worst: bool = False) ->
     }[quantity]
     verdict = "rotation_verdict" if quantity == "rotation" else "position_verdict"
     unseen = np.any(field.dataset[verdict].values == VERDICTS.index("unseen"), axis=1)
-    usable, done = field.usable, field.done
+    usable, done, status = field.usable, field.done, field.status
     values, kind = np.full(len(positions), np.nan), np.full(len(positions), TO_DO)
     view = np.full(len(positions), -1)
     for k in range(len(positions)):
-        (here,) = np.nonzero((group == k) & usable)
+        (all_here,) = np.nonzero(group == k)
+        here = all_here[usable[all_here]]
         if not len(here):
-            (all_here,) = np.nonzero(group == k)
             if done[all_here].all():
-                solid = (field.status[all_here] == INSIDE).all()
+                solid = (status[all_here] == INSIDE).all()
                 kind[k] = INSIDE_SOLID if solid else NOTHING
             continue
         chosen = here[np.argmax(numbers[here]) if worst else np.argmin(numbers[here])]

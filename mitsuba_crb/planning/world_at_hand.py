@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from ..errors import MitsubaCRBError, SceneWarning
 from ..measure.nuisances import name_parameters
-from ..measure.opening import as_world, fingerprint
+from ..measure.opening import as_world, fingerprint, wanted
+from ..measure.options import MeasurementOptions
 from ..render.fit import Wanted
 from ..render.lending import in_turn
 from ..render.scene import SceneFile
@@ -38,3 +40,19 @@ def world_at_hand(field: ViewField) -> Any:
         except MitsubaCRBError:
             return None
     return loaded if same else None
+
+
+@in_turn
+def world_again(world: Any, options: Mapping[str, Any]) -> Any:
+    """A world that has just been measured, loaded once for all that is to be drawn of it.
+
+    Args:
+        world: any.
+        options: of the measurement.
+
+    Raises:
+        MitsubaCRBError: it cannot be loaded any more.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SceneWarning)  # said when it was measured
+        return as_world(world, wanted(MeasurementOptions(**options)))[0]

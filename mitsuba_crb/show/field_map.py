@@ -23,6 +23,7 @@ from ..planning.plan_values import (
     SHOWN,
     TO_DO,
     UNSEEN,
+    WORDS,
     PlanValues,
     Quantity,
     lattice,
@@ -41,12 +42,12 @@ if TYPE_CHECKING:
 _LOST = "#b2182b"
 _CHOSEN = "#d6006e"
 _HAD = "#1a1a1a"
-_STYLES: dict[int, tuple[str, dict[str, Any]]] = {
-    UNSEEN: ("a direction is unseen", {"facecolor": "white", "edgecolor": _LOST, "hatch": "////"}),
-    NOT_RESOLVED: ("not resolved", {"facecolor": "white", "edgecolor": _LOST, "hatch": "...."}),
-    INSIDE_SOLID: ("inside a solid", {"facecolor": "#c4c4c4", "edgecolor": "#4d4d4d", "hatch": "\\\\\\\\"}),
-    NOTHING: ("nothing to see", {"facecolor": "white", "edgecolor": "#8f8f8f", "hatch": "xx"}),
-    TO_DO: ("not measured yet", {"facecolor": "white", "edgecolor": "#8f8f8f", "hatch": "--"}),
+_STYLES: dict[int, dict[str, Any]] = {
+    UNSEEN: {"facecolor": "white", "edgecolor": _LOST, "hatch": "////"},
+    NOT_RESOLVED: {"facecolor": "white", "edgecolor": _LOST, "hatch": "...."},
+    INSIDE_SOLID: {"facecolor": "#c4c4c4", "edgecolor": "#4d4d4d", "hatch": "\\\\\\\\"},
+    NOTHING: {"facecolor": "white", "edgecolor": "#8f8f8f", "hatch": "xx"},
+    TO_DO: {"facecolor": "white", "edgecolor": "#8f8f8f", "hatch": "--"},
 }
 _RANKS = 7
 _SPREAD = (2.0, 98.0)
@@ -96,7 +97,7 @@ def draw_values(ax: Axes, shown: PlanValues, cmap: Any, norm: Any) -> list[Artis
         cells.set(array=shown.values[number], cmap=cmap, norm=norm, edgecolor="none", linewidth=0, zorder=1)
         cells.set_antialiased(False)
         drawn.append(ax.add_collection(cells))
-    for kind, (_, style) in _STYLES.items():
+    for kind, style in _STYLES.items():
         which = shown.kind == kind
         if which.any():
             cells = PatchCollection(_patches(shown.positions[which], spacing, _extent(shown.positions)))
@@ -108,7 +109,7 @@ def draw_values(ax: Axes, shown: PlanValues, cmap: Any, norm: Any) -> list[Artis
 def legend_of(shown: Sequence[PlanValues]) -> list[Patch]:
     """What the hatches mean that are there."""
     kinds = {int(kind) for values in shown for kind in values.kind}
-    return [Patch(**style, label=words) for kind, (words, style) in _STYLES.items() if kind in kinds]
+    return [Patch(**style, label=WORDS[kind]) for kind, style in _STYLES.items() if kind in kinds]
 
 
 def draw_outlines(ax: Axes, plan: FloorPlan) -> list[Artist]:

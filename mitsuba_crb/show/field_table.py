@@ -11,9 +11,12 @@ from rich.text import Text
 
 from ..planning.layout import MEASUREMENTS
 from ..planning.view_field import ViewField
+from ..se3 import Array
 from .terminal import new_table, print_facts, print_line, print_notes
 
 _PERCENTILES = (5, 25, 50, 75, 95)
+PERCENTILE_HEADS = tuple("median" if p == 50 else f"{p} %" for p in _PERCENTILES)
+"""Of what `percentile_rows` has."""
 
 
 def print_field(console: Console, field: ViewField, source: str = "", notes: Sequence[str] = ()) -> None:
@@ -41,25 +44,34 @@ def print_field(console: Console, field: ViewField, source: str = "", notes: Seq
             Text("no bound: ", style="bold red"),
             f"at {blind} of {int(usable.sum())} views the method cannot see something of the scene",
         )
-    print_facts(console, _facts(field))
+    print_facts(console, field_facts(field))
     table = new_table()
     table.add_column("all three together")
-    for percentile in _PERCENTILES:
-        table.add_column("median" if percentile == 50 else f"{percentile} %", justify="right")
-    for name, values in (
-        ("position std [scene unit]", field.position_bound[usable]),
-        ("rotation std [deg]", field.rotation_bound_deg[usable]),
-    ):
-        if len(values):
-            # Of the sorted, not in between: beside an infinite bound there is no number.
-            found = np.percentile(values, _PERCENTILES, method="lower")
-            table.add_row(name, *(f"{value:.3g}" if np.isfinite(value) else "∞" for value in found))
+    for head in PERCENTILE_HEADS:
+        table.add_column(head, justify="right")
+    for name, found in percentile_rows(field):
+        table.add_row(name, *(f"{value:.3g}" if np.isfinite(value) else "∞" for value in found))
     if usable.any():
         console.print(table)
     print_notes(console, notes)
 
 
-def _facts(field: ViewField) -> list[tuple[str, str]]:
+def percentile_rows(field: ViewField) -> list[tuple[str, Array]]:
+    """How the bounds of the views that were measured are spread; nothing if there are none."""
+    usable = field.usable
+    return [
+        # Of the sorted, not in between: beside an infinite bound there is no number.
+        (name, np.percentile(values[usable], _PERCENTILES, method="lower"))
+        for name, values in (
+            ("position std [scene unit]", field.position_bound),
+            ("rotation std [deg]", field.rotation_bound_deg),
+        )
+        if usable.any()
+    ]
+
+
+def field_facts(field: ViewField) -> list[tuple[str, str]]:
+    """What became of the views, the ranks, the share below the limit, and what it took."""
     done = field.done
     words = MEASUREMENTS["status"].flags
     count = max(1, int(done.sum()))

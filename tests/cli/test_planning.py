@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "planning"))
-
 from synthetic_field import small_dataset, small_field, small_store
 
 from mitsuba_crb import load_poses, se3

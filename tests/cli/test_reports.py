@@ -8,6 +8,7 @@ import pytest
 
 from mitsuba_crb.cli import app as cli
 from mitsuba_crb.measure import report, teams
+from mitsuba_crb.planning import field_run, world_at_hand
 
 pytest.importorskip("plotly")
 
@@ -22,7 +23,9 @@ def test_without_plotly_nothing_is_measured(monkeypatch, capsys, tmp_path):
     for module, name in ((report, "pose_bound"), (teams, "pose_bound")):
         monkeypatch.setattr(module, name, lambda *_, **__: pytest.fail("measured"))
     page = str(tmp_path / "page.html")
-    for arguments in (["bound", WALL], ["validate", WALL], ["fuse", TEAM], ["select", TEAM]):
+    monkeypatch.setattr(field_run, "measure_field", lambda *_, **__: pytest.fail("measured"))
+    field = ["field", WALL, "--poses", "grid:nx=2,ny=2", "--out", str(tmp_path / "views.zarr")]
+    for arguments in (["bound", WALL], ["validate", WALL], ["fuse", TEAM], ["select", TEAM], field):
         assert cli.run([*arguments, "--report", page]) == 2
         out, err = capsys.readouterr()
         assert out == ""
@@ -54,6 +57,26 @@ def test_the_page_of_many_poses_has_a_row_for_each(tmp_path, capsys):
     capsys.readouterr()
     text = page.read_text(encoding="utf-8")
     assert text.count('class="pose"') == 2
+
+
+def test_the_page_of_a_field_shows_the_world_which_is_loaded_once_for_all_that_is_drawn(
+    tmp_path, capsys, monkeypatch
+):
+    pytest.importorskip("zarr")
+    poses, page = tmp_path / "poses.txt", tmp_path / "page.html"
+    poses.write_text("0 0 0 0 0 0 0 1\n1 0.1 0 0 0 0 0 1\n")
+    arguments = ["field", WALL, *SMALL, "--poses", str(poses), "--convention", "opencv world_from_camera"]
+    arguments += ["--out", str(tmp_path / "views.zarr"), "--report", str(page)]
+    loads = []
+    real = world_at_hand.as_world
+    monkeypatch.setattr(world_at_hand, "as_world", lambda *given: loads.append(given) or real(*given))
+    assert cli.run([*arguments, "--plot", str(tmp_path / "plan.png")]) == 0
+    capsys.readouterr()
+    assert len(loads) == 1
+    text = page.read_text(encoding="utf-8")
+    for words in ("mitsuba-crb field", "random points of the scene&#x27;s surfaces", "2 places, coloured by"):
+        assert words in text
+    assert '"name":"view 1"' in text
 
 
 @pytest.mark.slow

@@ -12,13 +12,14 @@ import browser
 import numpy as np
 import pytest
 import result_samples
+import synthetic_field
 from PIL import Image
 from test_report import CORNERS, ORIGIN, data_of, made, outlook, value_at
 
 from mitsuba_crb.errors import PrecisionWarning
 from mitsuba_crb.measure.outlook import Outlook, Sight
 from mitsuba_crb.measure.pose_table import PoseTable
-from mitsuba_crb.show.report import write_bound_report, write_poses_report
+from mitsuba_crb.show.report import write_bound_report, write_field_report, write_poses_report
 
 pytest.importorskip("plotly")
 if browser.programs() is None:
@@ -168,4 +169,27 @@ def test_a_pose_of_the_table_is_shown_in_the_world(window, poses_page):
     assert window.run("return document.querySelector('[data-pose=\"1\"]').ariaPressed") == "true"
     assert window.run(count) == before + 1
     assert window.run("return document.querySelector('.viewer select').value") == "1"
+    assert window.complaints() == []
+
+
+def test_a_field_of_views_is_drawn_and_its_places_can_be_chosen(window, tmp_path):
+    page = tmp_path / "field.html"
+    field = synthetic_field.small_field(inside=(2,), to_do=(4,))
+    write_field_report(page, field, outlook(500), None, ORIGIN)
+    for size in (WIDE, NARROW):
+        window.size(*size)
+        window.open(page)
+        assert window.complaints() == []
+        assert window.run("return document.documentElement.scrollWidth") <= size[0]
+        for selector in ("#space canvas", '[data-chart="position"] svg'):
+            assert len(np.unique(shown(window, selector).reshape(-1, 3), axis=0)) > 20
+    drawn = """const e = document.querySelector('[data-chart="position"]');
+        return e.calcdata[0][0].trace.customdata.map(row => Array.from(row))"""
+    numbers = np.array(window.run(drawn), dtype=np.float64)
+    best = [np.nanmin(field.position_bound[field.place == k]) for k in range(12) if k != 2]
+    assert sorted(numbers[np.isfinite(numbers)]) == sorted(best)
+    count = "return document.getElementById('space').data.length"
+    before = window.run(count)
+    window.run("document.querySelector('[data-pose=\"1\"]').click()")
+    assert window.run(count) == before + 1
     assert window.complaints() == []

@@ -1,6 +1,7 @@
 """Pages of HTML that need nothing else, made from the documents of a run and its pictures."""
 
 from .bound import write_bound_report as write_bound_report
+from .field import write_field_report as write_field_report
 from .page import Origin as Origin
 from .page import plotly_library as plotly_library
 from .poses import write_poses_report as write_poses_report

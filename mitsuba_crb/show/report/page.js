@@ -317,6 +317,10 @@
         hideWhatTurnsAway();
       }
     };
+    space.on("plotly_click", (event) => {
+      const place = event.points[0]?.customdata?.[0];
+      if (place !== undefined) choose(place);
+    });
     space.on("plotly_relayout", moved);
     space.on("plotly_relayouting", moved);
     const views = { first: () => world.first, camera: () => throughCamera(world.sights[chosen ?? 0]), top: fromAbove, close: () => closeUp(world.sights[chosen ?? 0]) };

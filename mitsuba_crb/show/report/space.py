@@ -86,6 +86,9 @@ def space(
     path: bool = False,
     unit: str = "scene unit",
     value_title: str = "",
+    drawn: int | None = None,
+    more: Sequence[Any] = (),
+    about: str = "",
 ) -> dict[str, Any]:
     """The view for the script: a figure, and what of it changes with the viewer and the factor.
 
@@ -96,6 +99,9 @@ def space(
         path: whether the cameras are along a path, which is drawn.
         unit: of length.
         value_title: what the ellipsoids' colours say.
+        drawn: how many of the cameras are drawn, the first ones, and are along the path; None: all.
+        more: further traces.
+        about: what these are, a sentence without its full stop.
     """
     centre, extent = _region(outlook, ellipsoids)
     up = _up(outlook.sights)
@@ -104,9 +110,12 @@ def space(
     facing: list[dict[str, Any]] = []
     scaled: list[dict[str, Any]] = []
     _add_points(figure, outlook, facing)
+    cameras = outlook.sights[:drawn]
     reach = _FRUSTUM * extent * (0.5 if len(outlook.sights) > _MANY else 1.0)
-    _add_cameras(figure, outlook.sights, reach, path)
-    _add_names(figure, outlook.sights, ellipsoids)
+    if cameras:
+        _add_cameras(figure, cameras, reach, path)
+    _add_names(figure, cameras, ellipsoids)
+    figure.add_traces(list(more))
     _add_ellipsoids(figure, ellipsoids, factor, scaled, value_title)
     _add_open_lines(figure, ellipsoids, _OPEN * extent * (0.4 if len(ellipsoids) > _MANY else 1.0))
     if scattered is not None and len(scattered):
@@ -148,8 +157,8 @@ def space(
             {"name": s.name, "pose": s.pose.tolist(), "corners": s.corners.tolist()} for s in outlook.sights
         ],
         "reach": reach,
-        "words": _words(outlook, ellipsoids),
-        "alt": _alt(outlook, ellipsoids),
+        "words": _words(outlook, ellipsoids, about),
+        "alt": _alt(cameras, ellipsoids, about),
         "first": _first_view(outlook.sights, centre, extent, up),
     }
 
@@ -478,25 +487,26 @@ def _plain(name: str) -> str:
     return name.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
 
 
-def _words(outlook: Outlook, ellipsoids: Sequence[Ellipsoid]) -> str:
+def _words(outlook: Outlook, ellipsoids: Sequence[Ellipsoid], about: str) -> str:
     """What is drawn, and what it does not say."""
-    parts = [outlook.words]
+    parts = [text for text in (about, outlook.words) if text]
     if any(np.isfinite(e.semi_axes).any() for e in ellipsoids):
         parts.append("Ellipsoids at 1σ and at 95 % of the probability")
     if not all(e.is_finite for e in ellipsoids):
         parts.append(
-            "Open line: a direction that is unseen; dashed: one that is not resolved; how long these lines are "
-            "says nothing"
+            "Open line: a direction that is unseen; dashed: one that is not resolved; how long these lines "
+            "are says nothing"
         )
     if outlook.normals.any():
         parts.append("Surfaces that turn away are hidden")
     return ". ".join(parts) + "."
 
 
-def _alt(outlook: Outlook, ellipsoids: Sequence[Ellipsoid]) -> str:
+def _alt(cameras: Sequence[Sight], ellipsoids: Sequence[Ellipsoid], about: str) -> str:
     """What the view shows, for those who do not see it."""
-    count = len(outlook.sights)
-    parts = [f"{count} camera{'s' * (count > 1)} in the world"]
+    count = len(cameras)
+    parts = [f"{count} camera{'s' * (count > 1)} in the world"] if count else []
+    parts += [about] if about else []
     for e in ellipsoids[:_MANY]:
         known = [f"{value:.3g}" for value in e.semi_axes if math.isfinite(value)]
         hidden = [verdict for verdict in e.verdicts if verdict != "seen"]
