@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 
 pip_llvm.name_to_drjit()
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _HOME = {
     "van_trees": "measure.bayesian",
