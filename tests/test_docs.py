@@ -107,7 +107,9 @@ def test_the_site_is_built_without_a_broken_link_and_asks_no_network(tmp_path: P
     assert "<math" in (tmp_path / "explanation" / "flow.html").read_text(encoding="utf-8")
     assert "--marginalize" in (tmp_path / "reference" / "commands.html").read_text(encoding="utf-8")
     for sheet in tmp_path.rglob("*.css"):
-        assert not re.search(r"@import|url\([\"']?(?:https?:)?//", sheet.read_text(encoding="utf-8")), sheet.name
+        assert not re.search(r"@import|url\([\"']?(?:https?:)?//", sheet.read_text(encoding="utf-8")), (
+            sheet.name
+        )
 
 
 @pytest.mark.slow

@@ -13,7 +13,9 @@ on where the body's origin is, the trace and λ_min do.
 The ridge stands in for what is not known of the body beforehand, one length scale and one radian by default;
 it takes part in the choice, not in the reported bounds. Those are of the position of the centroid of the
 cameras taken and chosen so far, so that a single view's is its own, and take the whole information, with its
-error. A view that was chosen for its lucky error keeps it: the field has no second half to report on.
+error. A view whose noise would hide a direction that those before it see is left out of them: more views
+never tell less, so that the others' bound holds with it, too. A view chosen for its lucky error keeps it: the
+field has no second half to report on.
 
 This is information about the pose. What FisherRF and its kin maximise, information about the map, is another
 quantity.
@@ -44,7 +46,7 @@ from ..bound.prior import PosePrior
 from ..errors import PlanError, PrecisionWarning
 from ..files import Record
 from ..information.fisher import FisherInformation
-from ..information.significance import no_information
+from ..information.significance import identified, no_information
 from ..se3 import Array
 from .layout import TO_DO
 from .one_body import body_at, information_about, refuse_prior, seen_blocks
@@ -273,9 +275,13 @@ def _bound(field: ViewField, views: Sequence[int], body: Array, prior: PosePrior
     """Of views on one body, at the centroid of their cameras; the prior is about `body`."""
     centre = body if not len(views) else body_at(field.poses[list(views), :3, 3].mean(axis=0))
     total = no_information(variable=BODY, pose=centre)
+    rank = 0
     for k, view in enumerate(views):
         information = information_about(field, view, centre)
-        total = information if k == 0 else total + information
+        joined = information if k == 0 else total + information
+        found = identified(joined).rank
+        if k == 0 or found >= rank:
+            total, rank = joined, found
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PrecisionWarning)  # standard errors say as much
         return cramer_rao_bound(total, prior=None if prior is None else _moved(prior, body, total))

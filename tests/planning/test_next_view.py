@@ -10,8 +10,10 @@ from synthetic_field import BLOCKED, heading_pose, room_points, small_dataset, s
 
 from mitsuba_crb import se3
 from mitsuba_crb.agents.fusion import Agent, fuse
+from mitsuba_crb.bound.cramer_rao import cramer_rao_bound
 from mitsuba_crb.bound.prior import PosePrior
 from mitsuba_crb.errors import PlanError
+from mitsuba_crb.information.significance import identified
 from mitsuba_crb.planning.next_view import next_views, stored_views
 from mitsuba_crb.planning.odometry import Odometry
 from mitsuba_crb.planning.one_body import body_at, information_about, seen_blocks
@@ -139,6 +141,26 @@ def test_noise_that_is_not_information_is_not_counted() -> None:
     dataset["length_scale"][0] = 1.0
     (block,) = seen_blocks(ViewField(dataset), np.array([0]), field.poses[0])
     np.testing.assert_allclose(block, noise, atol=1e-9)
+
+
+def test_a_view_of_much_noise_does_not_hide_what_others_see() -> None:
+    """One direction of it is seen, with so much noise about it that nothing else of the sum would be."""
+    dataset = small_field(**SMALL).dataset.copy(deep=True)
+    good, noisy = np.flatnonzero(dataset["rank"].values == 6)[:2]
+    largest = np.abs(dataset["information_camera"].values[good]).max()
+    dataset["information_camera"][noisy] = np.diag([1e4 * largest, 0.0, 0.0, 0.0, 0.0, 0.0])
+    dataset["covariance_of_entries"][noisy] = (1e2 * largest) ** 2 * np.eye(21)
+    dataset["length_scale"][noisy] = dataset["length_scale"].values[good]
+    dataset["rank"][noisy] = 1
+    field = ViewField(dataset)
+    body = body_at(field.poses[[good, noisy], :3, 3].mean(axis=0))
+    alone, other = (information_about(field, view, body) for view in (good, noisy))
+    assert identified(alone + other).rank < 6
+    found = next_views(field, have=(good, noisy), budget=1)
+    assert found.rank[0] == 6
+    # Without the noisy one: that of the good one at the same point.
+    expected = np.linalg.norm(cramer_rao_bound(alone).position_std)
+    assert found.position_bound[0] == pytest.approx(expected, rel=1e-9)
 
 
 def test_poses_are_found_in_the_store_and_others_named_with_the_nearest(field: ViewField) -> None:
