@@ -160,7 +160,7 @@ class BlindSpotWarning(UserWarning):
 
 
 class NuisanceWarning(UserWarning):
-    """The image does not see a nuisance parameter, which therefore costs nothing."""
+    """A nuisance parameter costs nothing, for the image does not see it, or so few paths do not tell what."""
 
 
 class PrecisionWarning(UserWarning):

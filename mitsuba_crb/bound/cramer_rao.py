@@ -295,18 +295,22 @@ def joint_bound(
         NuisanceError: nothing was decided of some nuisance.
 
     Warns:
-        NuisanceWarning: the image does not see a marginalized nuisance.
+        NuisanceWarning: the image does not see a marginalized nuisance, or too few paths do not resolve it.
         PrecisionWarning: see `cramer_rao_bound`.
     """
     bound = cramer_rao_bound(joint.information, prior=prior)
     unknown = [name for name in joint.names if joint.treatment[name] == "marginalized"]
     unseen = [name for name in joint.unseen if name in unknown]
-    if unseen:
-        warnings.warn(
-            f"the image does not see {', '.join(unseen)}, so that not knowing it costs nothing",
-            NuisanceWarning,
-            stacklevel=2,
-        )
+    for names, words in (
+        (unseen, "the image does not see {}, so that not knowing it costs nothing"),
+        (
+            joint.unresolved,
+            "so few paths do not tell what not knowing {} costs: the bound is the one with it known, a lower "
+            "limit of what was asked for; --spp N with more paths tells",
+        ),
+    ):
+        if names:
+            warnings.warn(words.format(", ".join(names)), NuisanceWarning, stacklevel=2)
     known = {name: joint.fix(name) for name in unknown}
     if len(unknown) > 1:
         known[ALL_NUISANCES] = joint.fix(*unknown)

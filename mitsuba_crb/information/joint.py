@@ -7,8 +7,8 @@ With F = [[A, B], [Bᵀ, D]] the information of (ξ, η), a known η leaves A, a
 the least of GᵀFG over all G with 1 on top. So noise in G counts in second order only, δ(GᵀFG) = Gᵀ δF G,
 which gives the covariance of the entries. Columns leave one after the other, in their order, so that each can
 only take information away; one that the image does not see, or cannot tell from those before it, has no
-coupling left and takes none. Neither does one that noise hides: what is left is then too small a bound, which
-still is a bound.
+coupling left and takes none. Neither does one that noise hides (`unresolved`): what is left is then the bound
+of a pose with that one known, a lower limit of the bound that was asked for.
 
 A nuisance with a value of its own in every tile of the image ("gain:32") is in that tile's information only,
 and leaves it tile by tile: Gᵀ F_tile G is the information of the tile's columns J G. Memory does not grow
@@ -145,6 +145,10 @@ class JointInformation(Linearised):
     @property
     def elimination(self) -> Array:
         """(6 + m, 6) G, see above, of what is unknown."""
+        return self._elimination[0]
+
+    @property
+    def _elimination(self) -> tuple[Array, Columns]:
         unknown = [6 + k for k, name in enumerate(self.parameters) if name in self._unknown]
         return _eliminate(self._unknown_sums, unknown)
 
@@ -158,10 +162,20 @@ class JointInformation(Linearised):
 
     @property
     def unseen(self) -> tuple[str, ...]:
-        """Nuisances of the whole image that it does not see at all, even with everything else known."""
+        """Nuisances of the whole image that it certainly does not see, even with everything else known."""
         sums, one = self.sums[frozenset()], np.eye(6 + len(self.parameters))
-        seen = {name for k, name in enumerate(self.parameters, start=6) if _seen(sums, one[k], k)}
-        return tuple(name for name in dict.fromkeys(self.parameters) if name not in seen)
+        told = {
+            name
+            for k, name in enumerate(self.parameters, start=6)
+            if _seen(sums, one[k], k) or _hidden(sums, one[k], k)
+        }
+        return tuple(name for name in dict.fromkeys(self.parameters) if name not in told)
+
+    @property
+    def unresolved(self) -> tuple[str, ...]:
+        """Unknown nuisances of the whole image that noise hides: the information has them as known."""
+        hidden = {self.parameters[column - 6] for column in self._elimination[1]}
+        return tuple(name for name in dict.fromkeys(self.parameters) if name in hidden)
 
     def _treat(self, names: tuple[str, ...], how: Literal["marginalized", "fixed"]) -> JointInformation:
         self._check(names)
@@ -303,7 +317,7 @@ class JointAccumulator:
         others = [c for c in range(values.shape[-1]) if not any(c in local for local in self._local.values())]
         for subset, part in self._parts.items():
             unknown = [c for name in self._local if name in subset for c in self._local[name]]
-            G = _eliminate(sums, unknown, others)
+            G, _ = _eliminate(sums, unknown, others)
             part.add(values @ G, weights, pixels, bias, weight_bias)
 
 
@@ -366,8 +380,8 @@ def _side_of(name: str) -> int | None:
     return int(found[1]) if found else None
 
 
-def _eliminate(sums: Sums, unknown: Columns, kept: Columns | None = None) -> Array:
-    """G (P, len(kept)) that takes unknown columns, one by one, out of an information.
+def _eliminate(sums: Sums, unknown: Columns, kept: Columns | None = None) -> tuple[Array, Columns]:
+    """G (P, len(kept)) that takes unknown columns, one by one, out of an information; those that noise hides.
 
     Args:
         sums: of all P columns.
@@ -375,20 +389,34 @@ def _eliminate(sums: Sums, unknown: Columns, kept: Columns | None = None) -> Arr
         kept: columns that stay, the twist's six by default; all others are known.
     """
     left = [*(range(6) if kept is None else kept), *unknown]
-    G = np.eye(len(sums.matrix))[:, left]
+    G, hidden = np.eye(len(sums.matrix))[:, left], []
     for column in unknown:
         own = left.index(column)
         row = G[:, own] @ sums.matrix @ G
         step = np.delete(np.eye(len(left)), own, axis=1)
         if _seen(sums, G[:, own], column):
             step[own] = -np.delete(row, own) / row[own]
+        elif _hidden(sums, G[:, own], column):
+            hidden.append(column)
         G = G @ step
         left.remove(column)
-    return G
+    return G, hidden
 
 
 def _seen(sums: Sums, direction: Array, column: int) -> bool:
     """Whether the information along a direction (P,), what is left of a column, exceeds noise."""
     own = sums.transform(direction[:, None])
-    noise = RESOLVED * np.sqrt(max(float(own.covariance_of_entries[0, 0]), 0.0))
-    return bool(own.matrix[0, 0] > noise + FLOAT32_FLOOR * sums.plain_matrix[column, column])
+    return bool(own.matrix[0, 0] > _noise(own) + _floor(sums, column))
+
+
+def _hidden(sums: Sums, direction: Array, column: int) -> bool:
+    """Whether noise could hide information along a direction that is not seen."""
+    return _noise(sums.transform(direction[:, None])) > _floor(sums, column)
+
+
+def _noise(own: Sums) -> float:
+    return RESOLVED * float(np.sqrt(max(float(own.covariance_of_entries[0, 0]), 0.0)))
+
+
+def _floor(sums: Sums, column: int) -> float:
+    return FLOAT32_FLOOR * float(sums.plain_matrix[column, column])

@@ -89,7 +89,7 @@ def pose_bound(
 
     Warns:
         SceneWarning: nothing is visible, or something of the scene was left out or replaced.
-        NuisanceWarning: the image does not see a nuisance.
+        NuisanceWarning: the image does not see a nuisance, or too few paths do not resolve it.
         PrecisionWarning: as `joint_bound`; rare bright paths decide, so that the stated errors are none.
     """
     if options.get("measure") == RGBD:

@@ -676,6 +676,7 @@ class TestOutput:
             "unobserved",
             "weakest",
             "optimality",
+            "ellipsoids",
             "nuisances",
             "noise_inflation",
             "finite_differences",

@@ -184,15 +184,19 @@ class TestUnseen:
         values[..., 6] = 0.0
         joint = _joint(view, ("dark", "fov"), values)
         assert joint.unseen == ("dark",)
+        assert joint.marginalize().unresolved == ()
         assert np.array_equal(
             joint.marginalize("dark").fix().information.matrix, joint.fix().information.matrix
         )
 
-    def test_noise_alone_is_unseen_and_takes_nothing(self):
+    def test_noise_alone_is_not_resolved_and_takes_nothing(self):
+        """It may hide something, so that nobody can say that it costs nothing."""
         view = Columns(2, noise=1.0)
         view.J[..., 6] = 0.0
         joint = _joint(view, ("dark", "fov"))
-        assert joint.unseen == ("dark",)
+        assert joint.unseen == ()
+        assert joint.marginalize().unresolved == ("dark",)
+        assert joint.fix().unresolved == ()
         assert np.array_equal(
             joint.marginalize("dark").fix().information.matrix, joint.fix().information.matrix
         )
@@ -201,7 +205,7 @@ class TestUnseen:
         view = Columns(2, noise=0.0)
         view.J[..., 7] = -3.0 * view.J[..., 6]
         joint = _joint(view, ("gain", "lamp"))
-        assert joint.unseen == ()
+        assert joint.unseen == joint.marginalize().unresolved == ()
         both, one = joint.marginalize().information, joint.marginalize("gain").fix().information
         assert misfit(both.matrix, one.matrix) < 1e-9
 

@@ -9,7 +9,7 @@ import re
 import numpy as np
 import pytest
 import synthetic_field
-from test_report import EVIL, ORIGIN, data_of, outlook
+from test_html_report import EVIL, ORIGIN, data_of, outlook
 
 from mitsuba_crb.planning.field_outlook import field_outlook
 from mitsuba_crb.planning.marks import marks_of

@@ -14,7 +14,7 @@ import pytest
 import result_samples
 import synthetic_field
 from PIL import Image
-from test_report import CORNERS, ORIGIN, data_of, made, outlook, value_at
+from test_html_report import CORNERS, ORIGIN, data_of, made, outlook, value_at
 
 from mitsuba_crb.errors import PrecisionWarning
 from mitsuba_crb.measure.outlook import Outlook, Sight
