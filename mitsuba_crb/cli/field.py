@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -182,7 +183,9 @@ def field(
         noise = parse_noise(sigma, noise_file)
         inputs = view_files(scene, None, camera, pixels, body_from_camera)
         inputs += [file for file in (prior, noise_file) if file is not None]
-        check_targets({"--plot": plot_file, "--report": report_file}, inputs)
+        inputs += [Path(poses)] if os.path.isfile(poses) else []
+        new = {} if os.path.lexists(store) else {"--out": store}
+        check_targets({"--plot": plot_file, "--report": report_file, **new}, inputs)
         check_report(report_file)
 
         from ..planning.candidates import parse_candidates

@@ -88,7 +88,7 @@ def _taken(
 
     if have is None:
         return ()
-    if not os.path.exists(have) and re.fullmatch(r"[\d\s,]+", have):
+    if not os.path.exists(have) and re.fullmatch(r"[\s,]*[0-9][0-9\s,]*", have):
         return tuple(int(number) for number in re.findall(r"\d+", have))
     if not os.path.exists(have):
         raise PlanError(

@@ -66,7 +66,7 @@ def _lines(path: Path, text: str) -> list[Any]:
 def _parsed(text: str, where: str) -> Any:
     try:
         return json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:  # the latter of thousands of brackets
         raise DocumentError(f"{where} is no JSON: {error}; {_GIVE}") from None
 
 

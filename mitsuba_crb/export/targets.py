@@ -47,6 +47,8 @@ def check_target(path: Path, option: str, inputs: Sequence[Path] = (), *, resume
         raise OutputError(f"{option} {path}: this is a folder; name a file in it")
     if os.path.lexists(target) and not os.path.isfile(target):
         raise OutputError(f"{option} {path}: this is not a regular file; name another")
+    if any((parent / "zarr.json").is_file() for parent in (folder.resolve(), *folder.resolve().parents)):
+        raise OutputError(f"{option} {path}: this is in a store of views; name a file elsewhere")
     for source in inputs:
         if os.path.exists(target) and os.path.exists(source) and os.path.samefile(target, source):
             raise OutputError(

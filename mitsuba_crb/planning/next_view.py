@@ -150,7 +150,7 @@ def next_views(
     candidates = _candidates(field, taken, budget)
     known = np.flatnonzero(field.usable & (field.rank > 0))
     body = body_at(field.poses[known, :3, 3].mean(axis=0))
-    length = float(np.median(field.dataset["length_scale"].values[known]))
+    length = float(np.median(field.values("length_scale")[known]))
     scale = np.array([length] * 3 + [1.0] * 3)
     base = ridge * np.eye(6) + scale[:, None] * _summed(field, taken, body) * scale
     if prior is not None:
@@ -220,7 +220,7 @@ def stored_views(field: ViewField, poses: Array) -> tuple[int, ...]:
         # From the chord: an arc cosine near 1 has half of the digits.
         chord = np.linalg.norm(field.poses[:, :3, :3] - pose[:3, :3], axis=(1, 2)) / np.sqrt(8.0)
         angle = np.degrees(2.0 * np.arcsin(np.minimum(chord, 1.0)))
-        reach = _SAME_POSITION * np.maximum(field.dataset["length_scale"].values, _SMALLEST_SCALE)
+        reach = _SAME_POSITION * np.maximum(field.values("length_scale"), _SMALLEST_SCALE)
         nearest = int(np.lexsort((angle, distance.round(12)))[0])
         fitting = np.flatnonzero((distance <= reach) & (angle <= _SAME_ANGLE_DEG))
         if not len(fitting):

@@ -174,8 +174,8 @@ def upper_position_bounds(field: ViewField) -> Array:
     The errors of the three axes count as if they were fully correlated, which is the largest that they make.
     """
     bound = field.position_bound
-    deviations = field.dataset["position_std"].values
-    errors = field.dataset["position_std_standard_error"].values
+    deviations = field.values("position_std")
+    errors = field.values("position_std_standard_error")
     seen = field.usable & np.isfinite(bound)
     upper = np.full(len(bound), np.inf)
     slope = (deviations[seen] * np.nan_to_num(errors[seen])).sum(axis=1) / bound[seen]

@@ -78,7 +78,7 @@ def group_values(
         "rank": -field.rank.astype(np.float64),  # the least is best, as of bounds
     }[quantity]
     verdict = "rotation_verdict" if quantity == "rotation" else "position_verdict"
-    unseen = np.any(field.dataset[verdict].values == VERDICTS.index("unseen"), axis=1)
+    unseen = np.any(field.values(verdict) == VERDICTS.index("unseen"), axis=1)
     usable, done, status = field.usable, field.done, field.status
     values, kind = np.full(len(positions), np.nan), np.full(len(positions), TO_DO)
     view = np.full(len(positions), -1)

@@ -23,6 +23,8 @@ from ..information.linearisation import Linearisation, PixelSelection
 from ..se3 import Array
 from .layout import DONE, MEASURED, SCHEMA, VARIABLES
 
+_AGAIN = "measure it again, into another store"
+
 BODY = "body"
 """What the informations are about."""
 
@@ -37,27 +39,27 @@ class ViewField:
     @property
     def poses(self) -> Array:
         """`world_from_camera` of each view (n, 4, 4)."""
-        return self._values("world_from_camera")
+        return self.values("world_from_camera")
 
     @property
     def place(self) -> NDArray[np.int64]:
         """(n,) which position each is at."""
-        return self._values("place").astype(np.int64)
+        return self.values("place").astype(np.int64)
 
     @property
     def heading(self) -> NDArray[np.int64]:
         """(n,) which direction there."""
-        return self._values("heading").astype(np.int64)
+        return self.values("heading").astype(np.int64)
 
     @property
     def status(self) -> NDArray[np.int8]:
         """(n,) what became of each, see `layout`."""
-        return self._values("status").astype(np.int8)
+        return self.values("status").astype(np.int8)
 
     @property
     def done(self) -> NDArray[np.bool_]:
         """(n,) whether its values are there."""
-        return self._values(DONE).astype(np.bool_)
+        return self.values(DONE).astype(np.bool_)
 
     @property
     def usable(self) -> NDArray[np.bool_]:
@@ -72,17 +74,17 @@ class ViewField:
     @property
     def position_bound(self) -> Array:
         """(n,) root of the position covariance's trace [scene unit]; infinite unless all of it is seen."""
-        return self._values("position_bound")
+        return self.values("position_bound")
 
     @property
     def rotation_bound_deg(self) -> Array:
         """(n,) the same of the rotation [deg]."""
-        return self._values("rotation_bound_deg")
+        return self.values("rotation_bound_deg")
 
     @property
     def rank(self) -> NDArray[np.int64]:
         """(n,) number of directions that are seen."""
-        return self._values("rank").astype(np.int64)
+        return self.values("rank").astype(np.int64)
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -106,11 +108,22 @@ class ViewField:
         """
         return self._informations
 
+    def values(self, name: str) -> NDArray[Any]:
+        """(n, ...) of one of the store's variables, see `layout`.
+
+        Raises:
+            StoreError: its file is damaged.
+        """
+        try:
+            return np.asarray(self.dataset[name].values)
+        except (OSError, RuntimeError, ValueError) as error:  # of what decodes its chunks
+            raise StoreError(f"the store is damaged: {name} cannot be read ({error}); {_AGAIN}") from error
+
     @cached_property
     def _informations(self) -> list[FisherInformation]:
-        matrices = np.nan_to_num(self._values("information_camera"))
-        covariances = np.nan_to_num(self._values("covariance_of_entries"))
-        scales, pixels = self._values("length_scale"), self._values("pixels")
+        matrices = np.nan_to_num(self.values("information_camera"))
+        covariances = np.nan_to_num(self.values("covariance_of_entries"))
+        scales, pixels = self.values("length_scale"), self.values("pixels")
         return [
             FisherInformation(
                 matrix=matrix,
@@ -127,9 +140,6 @@ class ViewField:
                 self.poses, matrices, covariances, scales, pixels, strict=True
             )
         ]
-
-    def _values(self, name: str) -> NDArray[Any]:
-        return np.asarray(self.dataset[name].values)
 
     def _attribute(self, name: str) -> dict[str, Any]:
         found: dict[str, Any] = json.loads(self.dataset.attrs[name])
@@ -157,11 +167,33 @@ def open_field(store: str | Path) -> ViewField:
     except (OSError, KeyError, ValueError) as error:
         raise StoreError(f"{path} is no store of views ({error})") from None
     schema = dataset.attrs.get("schema")
-    if schema != SCHEMA or not set(VARIABLES) <= set(dataset.variables):
+    if schema != SCHEMA:
         raise StoreError(
             f"{path} is no store of views of layout {SCHEMA}" + (f", but of {schema}" if schema else "")
         )
+    _check_whole(path, dataset)
     return ViewField(dataset)
+
+
+def _check_whole(path: Path, dataset: Any) -> None:
+    """Refuse a store of which something is missing or is not what it has to be.
+
+    Raises:
+        StoreError: says what.
+    """
+    missing = [name for name in VARIABLES if name not in dataset.variables]
+    if missing:
+        raise StoreError(f"{path} is damaged: it has no {missing[0]}; {_AGAIN}")
+    for name in ("settings", "candidates"):
+        try:
+            good = isinstance(json.loads(dataset.attrs[name]), dict)
+        except (KeyError, TypeError, ValueError):
+            good = False
+        if not good:
+            raise StoreError(f"{path} is damaged: its {name} cannot be read; {_AGAIN}")
+    up = dataset.attrs.get("up")
+    if np.shape(up) != (3,) or not all(isinstance(value, int | float) for value in up):
+        raise StoreError(f"{path} is damaged: its up is no direction; {_AGAIN}")
 
 
 def field_library(name: str) -> Any:

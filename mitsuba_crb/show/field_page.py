@@ -265,7 +265,7 @@ def _limits(field: ViewField, margin: float = _MARGIN) -> tuple[Array, Array]:
     """(2,) corners of what is drawn, in the plan's coordinates."""
     positions = PlanView.of(field.up).flat(field.poses[:, :3, 3])
     low, high = positions.min(axis=0), positions.max(axis=0)
-    extent = float((high - low).max()) or float(np.median(field.dataset["length_scale"].values)) or 1.0
+    extent = float((high - low).max()) or float(np.median(field.values("length_scale"))) or 1.0
     spacing = lattice(np.unique(positions.round(9), axis=0))
     beyond = margin * extent + (0.0 if spacing is None else 0.5 * spacing)
     # A row of positions is drawn with something on both sides.

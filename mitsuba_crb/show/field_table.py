@@ -37,7 +37,7 @@ def print_field(console: Console, field: ViewField, source: str = "", notes: Seq
         scene,
         f"  {int(done.sum())} of {len(field)} views" if field.interrupted else f"  {len(field)} views",
     )
-    blind = int((field.dataset["no_bound"].values[usable] == 1).sum())
+    blind = int((field.values("no_bound")[usable] == 1).sum())
     if blind:
         print_line(
             console,
@@ -96,4 +96,4 @@ def field_facts(field: ViewField) -> list[tuple[str, str]]:
 
 
 def _total(field: ViewField, name: str) -> float:
-    return float(np.sum(field.dataset[name].values[field.done]))
+    return float(np.sum(field.values(name)[field.done]))

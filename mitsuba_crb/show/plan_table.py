@@ -169,7 +169,7 @@ def _notes(result: PathPlan) -> list[str]:
 
 def _no_bound(field: ViewField, views: Sequence[int]) -> list[str]:
     """What is to be said of views that a method does not see wholly."""
-    blind = [view for view in views if field.dataset["no_bound"].values[view]]
+    blind = [view for view in views if field.values("no_bound")[view]]
     if not blind:
         return []
     return [

@@ -51,6 +51,8 @@ def test_what_is_unseen_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 def test_mistakes_are_a_line_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     result = result_in(tmp_path)
+    deep = tmp_path / "deep.json"
+    deep.write_text("[" * 100_000)
     for arguments, words in (
         ([str(result)], "--to"),
         ([str(result), "--to", "kml"], "'kml'"),
@@ -58,8 +60,9 @@ def test_mistakes_are_a_line_each(tmp_path: Path, capsys: pytest.CaptureFixture[
         ([str(result), "--to", "csv", "--out", str(tmp_path / "no" / "a.csv")], "create it first"),
         ([str(result), "--to", "csv", "--out", str(result)], "would overwrite an input"),
         ([str(result), "--to", "csv", "--body-from-camera", str(tmp_path / "no.yaml")], "no.yaml"),
+        ([str(deep), "--to", "csv"], "deep.json is no JSON"),
     ):
         assert cli.run(["export", *arguments]) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert words in line
-    assert [file.name for file in tmp_path.iterdir()] == ["room.json"]
+    assert {file.name for file in tmp_path.iterdir()} == {"room.json", "deep.json"}

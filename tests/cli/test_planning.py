@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +111,7 @@ def test_no_path_is_an_answer_with_the_smallest_limit_and_exit_code_1(
         (["next-view", "STORE", "--have", "nobody.txt"], "--have nobody.txt: there is no such file"),
         (["next-view", "STORE", "--have", "1,99"], "there is no view 99; the field has 36"),
         (["next-view", "STORE", "--have", "35"], "view 35 is not measured yet"),
+        (["next-view", "STORE", "--have", ","], "--have ,: there is no such file"),
         (["next-view", "STORE", "--prior", "nobody.toml"], "cannot read nobody.toml"),
         (["next-view", "STORE", "--json", "no/where.json"], "the folder no does not exist"),
         (["path", "STORE", "--from", "0", "--to", "10"], "--limit"),
@@ -186,3 +188,50 @@ def test_an_odometry_of_other_keys_and_a_store_of_another_layout_are_refused(
     description.write_text(json.dumps(described))
     assert cli.run(["path", str(other), *ways]) == 2
     assert "but of 999" in capsys.readouterr().err
+
+
+def test_a_damaged_store_is_named_with_what_is_wrong_in_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = small_store(tmp_path / "whole.zarr", shape=(2, 2), headings=2)
+
+    def without_rank(store: Path) -> None:
+        shutil.rmtree(store / "rank")
+
+    def with_other_bytes(store: Path) -> None:
+        for file in (store / "position_bound" / "c").rglob("*"):
+            file.write_bytes(b"xx")
+
+    def with_settings_cut(store: Path) -> None:
+        described = json.loads((store / "zarr.json").read_text())
+        described["attributes"]["settings"] = "{"
+        (store / "zarr.json").write_text(json.dumps(described))
+
+    for damage, words in (
+        (without_rank, "it has no rank"),
+        (with_other_bytes, "position_bound cannot be read"),
+        (with_settings_cut, "its settings cannot be read"),
+    ):
+        store = tmp_path / f"{damage.__name__}.zarr"
+        shutil.copytree(whole, store)
+        damage(store)
+        assert cli.run(["path", str(store), "--from", "0", "--to", "3", "--limit", "9"]) == 2
+        said = capsys.readouterr().err
+        assert f"damaged: {words}" in said
+        assert "measure it again" in said
+        assert said.count("\n") == 1
+
+
+def test_nothing_is_written_into_a_store(store: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    described = (store / "zarr.json").read_bytes()
+    for file in (store / "zarr.json", store / "new.json", store / "rank" / "zarr.json"):
+        for arguments in (
+            ["next-view", str(store)],
+            ["path", str(store), *["--from", "0", "--to", "1", "--limit", "9"]],
+        ):
+            assert cli.run([*arguments, "--json", str(file)]) == 2
+            said = capsys.readouterr().err
+            assert "this is in a store of views; name a file elsewhere" in said
+            assert said.count("\n") == 1
+    assert (store / "zarr.json").read_bytes() == described
+    assert not (store / "new.json").exists()

@@ -80,6 +80,8 @@ def test_it_says_what_became_of_the_views_and_goes_on(
         ({"--limit": "1", "--spp": "16"}, ["--limit", "--spp"]),
         ({"--out": "notes.txt"}, ["notes.txt", "is left alone"]),
         ({"--out": "missing/views.zarr"}, ["missing", "create it first"]),
+        ({"--out": "page", "--report": "page"}, ["--out", "--report", "both name page"]),
+        ({"--report": "poses.npy"}, ["--report", "poses.npy", "would overwrite an input"]),
         ({"--poses": "gird:nx=2"}, ["gird", "grid"]),
         ({"--poses": "scaled.npy"}, ["scaled.npy", "scale"]),
     ],

@@ -82,7 +82,7 @@ def field_page(field: ViewField, outlook: Outlook, outlines: FloorPlan | None) -
     notes = []
     if field.interrupted:
         notes.append(("bad", f"{done} of {len(field)} views are done; the same command goes on from there"))
-    blind = int((field.dataset["no_bound"].values[field.usable] == 1).sum())
+    blind = int((field.values("no_bound")[field.usable] == 1).sum())
     if blind:
         notes.append(("bad", f"no bound: at {blind} views the method cannot see something of the scene"))
     return Page(name, summary, sections, notes, {"space": view, "charts": charts, "images": {}})
@@ -104,12 +104,12 @@ def mark_traces(field: ViewField, marks: Marks, first: int = 0) -> list[Any]:
         (which,) = np.nonzero(best.kind == kind)
         if not len(which):
             continue
-        style: dict[str, Any] = {"symbol": symbol, "color": colour, "size": 4}
+        style: dict[str, Any] = {"symbol": symbol, "color": colour, "size": 5}
         if kind == SHOWN:
             scale = colour_scale(levels, "1σ bound of position, best direction [scene unit]")
             low, high = scale.pop("ends")
             scale["colorbar"] |= {"len": 0.7}
-            style = {"color": levels[which], "cmin": low, "cmax": high, "size": 5.5, **scale}
+            style = {"color": levels[which], "cmin": low, "cmax": high, "size": 7.5, **scale}
         x, y, z = best.positions[which].T
         traces.append(
             go.Scatter3d(
