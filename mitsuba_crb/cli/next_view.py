@@ -9,14 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import BodyFromCamera, Convention, Debug, JsonFile, PlanPlot, Store
+from .options import BodyFromCamera, Convention, Debug, JsonFile, PlanPlot, Report, Store
 from .outcome import answered, foreseen
+from .reports import check_report, report_next_views
 
 if TYPE_CHECKING:
     from ..planning.view_field import ViewField
 
 
 def next_view(
+    context: typer.Context,
     store: Store,
     budget: Annotated[int, typer.Option(metavar="K", help="How many views to add.")] = 1,
     have: Annotated[
@@ -45,6 +47,7 @@ def next_view(
     body_from_camera: BodyFromCamera = None,
     json_file: JsonFile = None,
     plot_file: PlanPlot = None,
+    report_file: Report = None,
     debug: Debug = False,
 ) -> None:
     """Which views should be added to those that are taken?
@@ -58,7 +61,9 @@ def next_view(
         from ..planning.view_field import open_field
 
         inputs = [Path(have)] if have is not None and os.path.exists(have) else []
-        check_targets({"--json": json_file, "--plot": plot_file}, [*inputs, *([prior] if prior else [])])
+        targets = {"--json": json_file, "--plot": plot_file, "--report": report_file}
+        check_targets(targets, [*inputs, *([prior] if prior else [])])
+        check_report(report_file)
         field = open_field(store)
         known = None if prior is None else load_prior(prior)
         taken = _taken(field, have, convention, body_from_camera)
@@ -75,6 +80,8 @@ def next_view(
                 from ..show.field_page import write_next_views_page
 
                 write_next_views_page(plot_file, field, result.chosen, have=result.have)
+            if report_file is not None:
+                report_next_views(report_file, context, store, field, result)
 
 
 def _taken(

@@ -7,11 +7,13 @@ from typing import Annotated
 
 import typer
 
-from .options import Debug, JsonFile, PlanPlot, Store
+from .options import Debug, JsonFile, PlanPlot, Report, Store
 from .outcome import answered, foreseen
+from .reports import check_report, report_path
 
 
 def path(
+    context: typer.Context,
     store: Store,
     start: Annotated[
         str, typer.Option("--from", metavar="N|X:Y:Z", help="Where to start: a place's number, or a point.")
@@ -58,6 +60,7 @@ def path(
         typer.Option("--tum", metavar="FILE", help="Write the path as TUM's trajectory, a pose a second."),
     ] = None,
     plot_file: PlanPlot = None,
+    report_file: Report = None,
     debug: Debug = False,
 ) -> int:
     """Which path keeps the position known well enough?
@@ -77,7 +80,9 @@ def path(
         from ..planning.view_field import open_field
 
         inputs = [file for file in (odometry, start_prior) if file is not None]
-        check_targets({"--json": json_file, "--tum": tum_file, "--plot": plot_file}, inputs)
+        targets = {"--json": json_file, "--tum": tum_file, "--plot": plot_file, "--report": report_file}
+        check_targets(targets, inputs)
+        check_report(report_file)
         known = None if odometry is None else load_odometry(odometry)
         prior = None if start_prior is None else load_prior(start_prior)
         field = open_field(store)
@@ -110,4 +115,6 @@ def path(
                     "without the limit": shortest.views,
                 }
                 write_paths_page(plot_file, field, {name: views for name, views in ways.items() if views})
+            if report_file is not None:
+                report_path(report_file, context, store, field, result)
         return result.exit_code

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from ..measure.report import BoundReport
     from ..measure.team_file import Team
     from ..measure.teams import TeamFusion, TeamSelection
+    from ..planning.next_view import NextViews
+    from ..planning.path_search import PathPlan
     from ..planning.view_field import ViewField
     from ..show.report import Origin
 
@@ -115,6 +117,28 @@ def report_field(
 
     seen = field_outlook(field, world, options)
     write_field_report(path, field, seen, outlines_of(field, world), _origin(context))
+
+
+def report_next_views(
+    path: Path, context: typer.Context, store: Path, field: ViewField, result: NextViews
+) -> None:
+    """Write the page of chosen views."""
+    from ..planning.field_outlook import field_outlook
+    from ..planning.world_at_hand import world_at_hand
+    from ..show.report import write_next_views_report
+
+    seen = field_outlook(field, world_at_hand(field))
+    write_next_views_report(path, store, field, result, seen, _origin(context))
+
+
+def report_path(path: Path, context: typer.Context, store: Path, field: ViewField, result: PathPlan) -> None:
+    """Write the page of a path."""
+    from ..planning.field_outlook import field_outlook
+    from ..planning.world_at_hand import world_at_hand
+    from ..show.report import write_path_report
+
+    seen = field_outlook(field, world_at_hand(field))
+    write_path_report(path, store, field, result, seen, _origin(context))
 
 
 def _of_team(team: Team, *, images: bool = True) -> Outlook:

@@ -49,6 +49,12 @@ def print_next_views(console: Console, store: Path, field: ViewField, result: Ne
             str(result.rank[k]),
         )
     console.print(table)
+    print_facts(console, next_views_facts(result))
+    print_notes(console, next_views_notes(field, result))
+
+
+def next_views_facts(result: NextViews) -> list[tuple[str, str]]:
+    """What the numbers of the table are, and what is certain of the choice."""
     guarantee = "nothing" if result.guarantee is None else f"{result.guarantee:.1%}"
     facts = [
         ("position", "root of the trace, at the centroid of the cameras so far [scene unit]"),
@@ -67,8 +73,7 @@ def print_next_views(console: Console, store: Path, field: ViewField, result: Ne
     ]
     if result.objective != "logdet":
         facts.append(("about", f"the centroid of the usable views' cameras, {_point(result.body[:3, 3])}"))
-    print_facts(console, facts)
-    print_notes(console, _no_bound(field, (*result.have, *result.chosen)))
+    return facts
 
 
 def print_path(console: Console, store: Path, field: ViewField, result: PathPlan) -> None:
@@ -80,9 +85,15 @@ def print_path(console: Console, store: Path, field: ViewField, result: PathPlan
         "[scene unit]",
     )
     if not result.found:
-        print_line(console, Text(_none(result), style="bold red"))
+        print_line(console, Text(no_path(result), style="bold red"))
     else:
         _print_steps(console, result)
+    print_facts(console, path_facts(result))
+    print_notes(console, path_notes(field, result))
+
+
+def path_facts(result: PathPlan) -> list[tuple[str, str]]:
+    """How long it is, and what its bounds are."""
     longer = f", {result.length / result.shortest - 1.0:.1%} longer" if result.shortest > 0.0 else ""
     facts = []
     if result.found:
@@ -96,8 +107,17 @@ def print_path(console: Console, store: Path, field: ViewField, result: PathPlan
     facts.append(
         ("neighbours", f"{result.neighbourhood}; walls thinner than that between two places are not known of")
     )
-    print_facts(console, facts)
-    print_notes(console, [*_notes(result), *_no_bound(field, result.views)])
+    return facts
+
+
+def next_views_notes(field: ViewField, result: NextViews) -> list[str]:
+    """What is to be known of the views."""
+    return _no_bound(field, (*result.have, *result.chosen))
+
+
+def path_notes(field: ViewField, result: PathPlan) -> list[str]:
+    """What is to be known of the search, and of the views."""
+    return [*_notes(result), *_no_bound(field, result.views)]
 
 
 def _print_steps(console: Console, result: PathPlan) -> None:
@@ -131,7 +151,8 @@ def _distances(centres: Array) -> Array:
     return np.concatenate([np.zeros(1), np.cumsum(steps)])
 
 
-def _none(result: PathPlan) -> str:
+def no_path(result: PathPlan) -> str:
+    """That there is none, and which limit has one."""
     if not math.isfinite(result.smallest_limit):
         return "No path at any limit."
     none = "No path with this limit was found" if result.dropped else "No path with this limit"

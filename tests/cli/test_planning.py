@@ -235,3 +235,28 @@ def test_nothing_is_written_into_a_store(store: Path, capsys: pytest.CaptureFixt
             assert said.count("\n") == 1
     assert (store / "zarr.json").read_bytes() == described
     assert not (store / "new.json").exists()
+
+
+def test_pages_of_plans_have_their_answers_and_say_that_the_world_is_not_at_hand(
+    store: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("plotly")
+    page = tmp_path / "<b> page.html"
+    next_view = ["next-view", str(store), "--budget", "2", "--have", "3"]
+    way = ["path", str(store), "--from", "0", "--to", "10", "--limit"]
+    for arguments, code, words in (
+        (next_view, 0, ["the common pose of one body", "1: view ", "taken: view 3", "of the best gain"]),
+        ([*way, "100"], 0, ["position bound with the view", "largest bound"]),
+        ([*way, "1e-5"], 1, ["No path with this limit; the smallest that has one: "]),
+    ):
+        assert cli.run([*arguments, "--report", str(page)]) == code
+        capsys.readouterr()
+        text = page.read_text(encoding="utf-8")
+        for each in (
+            *words,
+            "The world is not at hand",
+            "12 places, coloured by",
+            "mitsuba-crb " + arguments[0],
+        ):
+            assert each in text, each
+        assert "<b> page" not in text

@@ -4,6 +4,8 @@ from .bound import write_bound_report as write_bound_report
 from .field import write_field_report as write_field_report
 from .page import Origin as Origin
 from .page import plotly_library as plotly_library
+from .plan import write_next_views_report as write_next_views_report
+from .plan import write_path_report as write_path_report
 from .poses import write_poses_report as write_poses_report
 from .team import write_fusion_report as write_fusion_report
 from .team import write_selection_report as write_selection_report

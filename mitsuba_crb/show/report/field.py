@@ -56,7 +56,7 @@ def field_page(field: ViewField, outlook: Outlook, outlines: FloorPlan | None) -
     corners = outlook.sights[0].corners
     sights = tuple(Sight(f"view {view}", field.poses[view], corners) for view in marks.views)
     view = space(
-        replace(outlook, sights=sights), [], drawn=0, more=mark_traces(field, marks), about=_about(marks)
+        replace(outlook, sights=sights), [], drawn=0, more=mark_traces(field, marks), about=about_marks(marks)
     )
     charts = field_maps(field, outlines)
     words = "Best of all directions and heights at each position."
@@ -159,7 +159,8 @@ def _hover(field: ViewField, marks: Marks, k: int) -> str:
     )
 
 
-def _about(marks: Marks) -> str:
+def about_marks(marks: Marks) -> str:
+    """What they are, a sentence without its full stop."""
     drawn = len(marks.views)
     if marks.side == 0.0:
         return f"{drawn} places, coloured by the best direction's position bound"
@@ -184,14 +185,7 @@ def _ends(field: ViewField, marks: Marks) -> Markup:
     rows = []
     for k in chosen:
         view = int(marks.views[k])
-        button = tag(
-            "button",
-            f"{field.place[view]}",
-            type="button",
-            class_="pose",
-            data_pose=k,
-            aria_pressed="false",
-        )
+        button = place_button(str(field.place[view]), k)
         position, rotation = field.position_bound[view], field.rotation_bound_deg[view]
         at = ", ".join(f"{value:.3g}" for value in marks.best.positions[k])
         rows.append(
@@ -207,3 +201,8 @@ def _ends(field: ViewField, marks: Marks) -> Markup:
         "with its rotation bound [deg]; choose one to show it in the world"
     )
     return table(("place", "at", "position", "rotation", "rank"), rows, caption=caption, id_="poses")
+
+
+def place_button(words: str, sight: int) -> Markup:
+    """What shows one of the page's cameras in the world."""
+    return tag("button", words, type="button", class_="pose", data_pose=sight, aria_pressed="false")
