@@ -246,7 +246,7 @@ def test_pages_of_plans_have_their_answers_and_say_that_the_world_is_not_at_hand
     way = ["path", str(store), "--from", "0", "--to", "10", "--limit"]
     for arguments, code, words in (
         (next_view, 0, ["the common pose of one body", "1: view ", "taken: view 3", "of the best gain"]),
-        ([*way, "100"], 0, ["position bound with the view", "largest bound"]),
+        ([*way, "100"], 0, ["on arrival", "largest bound", "place 0"]),
         ([*way, "1e-5"], 1, ["No path with this limit; the smallest that has one: "]),
     ):
         assert cli.run([*arguments, "--report", str(page)]) == code

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,10 +12,10 @@ from ...measure.outlook import Sight
 from ...planning.marks import marks_of
 from ...planning.next_view import ONE_BODY
 from ..plan_table import next_views_facts, next_views_notes, no_path, path_facts, path_notes
-from .charts import along_path
+from .charts import RED, along_path
 from .field import about_marks, mark_traces, place_button
 from .markup import Markup, tag
-from .page import Origin, Page, section, side_by_side, write_page
+from .page import Origin, Page, plotly_library, section, side_by_side, write_page
 from .space import space
 from .tables import facts, significant, table
 from .viewers import chart_place, space_viewer
@@ -60,7 +61,7 @@ def write_next_views_report(
             [
                 first,
                 *(tag("td", word, class_="number") for word in which),
-                *(tag("td", f"{significant(v)} ± {significant(e, 1)}", class_="number") for v, e in numbers),
+                *(tag("td", _with_error(*each), class_="number") for each in numbers),
                 tag("td", f"{rank} of 6", class_="number"),
             ]
         )
@@ -82,15 +83,16 @@ def write_path_report(
     path: Path, store: Path, field: ViewField, result: PathPlan, outlook: Outlook, origin: Origin
 ) -> None:
     """Write the page of a path, or that there is none; arguments as of `write_next_views_report`."""
-    names = [f"view {view}" for view in result.views]
-    view = _space(field, result.views, names, outlook, path=True)
+    names = [f"place {place}" for place in result.places]
+    view = _space(field, result.views, names, outlook, [_line(result)])
     charts: dict[str, Any] = {}
     notes = [("note", text) for text in path_notes(field, result)]
     steps: list[Markup] = []
     if result.found:
         steps = [section("Steps", _steps(field, result))]
-        label = "position bound with the view [scene unit]"
-        charts["bound"] = along_path(range(len(names)), names, result.after.tolist(), label=label)
+        charts["bound"] = along_path(
+            range(len(names)), names, result.after.tolist(), label="position [scene unit]"
+        )
     else:
         notes.insert(0, ("bad", no_path(result)))
     drawn = [chart_place(key, each["alt"]) for key, each in charts.items()]
@@ -121,8 +123,18 @@ def _steps(field: ViewField, result: PathPlan) -> Markup:
     return table(("place", "view", "at", "on arrival", "with the view"), rows, caption=caption, id_="poses")
 
 
+def _line(result: PathPlan) -> Any:
+    x, y, z = result.poses[:, :3, 3].T
+    style = {"color": RED, "width": 8}
+    return plotly_library().Scatter3d(x=x, y=y, z=z, mode="lines", name="path", line=style, hoverinfo="skip")
+
+
+def _with_error(value: float, error: float) -> str:
+    return f"{significant(value)} ± {significant(error, 1)}" if math.isfinite(error) else significant(value)
+
+
 def _space(
-    field: ViewField, views: Sequence[int], names: Sequence[str], outlook: Outlook, *, path: bool = False
+    field: ViewField, views: Sequence[int], names: Sequence[str], outlook: Outlook, more: Sequence[Any] = ()
 ) -> dict[str, Any]:
     """Some views as cameras, then all places as marks."""
     marks = marks_of(field)
@@ -132,8 +144,7 @@ def _space(
     return space(
         replace(outlook, sights=tuple(sights)),
         [],
-        path=path,
         drawn=len(views),
-        more=mark_traces(field, marks, first=len(views)),
+        more=[*mark_traces(field, marks, first=len(views)), *more],
         about=about_marks(marks),
     )

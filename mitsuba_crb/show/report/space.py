@@ -99,7 +99,7 @@ def space(
         path: whether the cameras are along a path, which is drawn.
         unit: of length.
         value_title: what the ellipsoids' colours say.
-        drawn: how many of the cameras are drawn, the first ones, and are along the path; None: all.
+        drawn: how many of the cameras are drawn, the first ones; None: all.
         more: further traces.
         about: what these are, a sentence without its full stop.
     """
@@ -111,7 +111,7 @@ def space(
     scaled: list[dict[str, Any]] = []
     _add_points(figure, outlook, facing)
     cameras = outlook.sights[:drawn]
-    reach = _FRUSTUM * extent * (0.5 if len(outlook.sights) > _MANY else 1.0)
+    reach = _FRUSTUM * extent * (0.5 if len(cameras) > _MANY else 1.0)
     if cameras:
         _add_cameras(figure, cameras, reach, path)
     _add_names(figure, cameras, ellipsoids)
