@@ -144,7 +144,9 @@ def field(
     variant: Variant = None,
     debug: Debug = False,
 ) -> int:
-    """The Cramér–Rao bounds at thousands of views: a field to plan with.
+    """Where is a camera located well, and where is it lost?
+
+    The Cramér–Rao bounds at thousands of views, as a field to plan with: `next-view` and `path` read it.
 
     Exit code 130 if it was interrupted; the same command goes on.
     """
