@@ -1,7 +1,7 @@
 """Sampling to a precision beside uniform sampling.
 
     python benchmarks/adaptive.py                       # all parts
-    python benchmarks/adaptive.py --only gains times    # some of: gains times price verdicts figure
+    python benchmarks/adaptive.py --only gains times    # some of: gains times price verdicts coverage figure
     python benchmarks/adaptive.py --only gains --scenes textured_room --seeds 10
 
 gains: at 160x120 the variance of ln σ over seeds, uniform over adaptive, at equal paths in all (of every
@@ -9,8 +9,12 @@ round), worst and best of the directions that every run resolves. times: seconds
 answers, each scene at its own size, the error that it states, and what it says of the six. price: the default
 over --spp 64, textured_wall at 512x512, alternating. verdicts: at 64x48 and 4, 16, 64 and 256 paths per
 pixel, how large what is called unseen is in a run of 4,096 paths (its information over the largest
-eigenvalue: 1e-3 is the most), and how many lower limits exceed that run's standard deviations. figure: where
-the paths went in a room, error against time, into figures/adaptive.png.
+eigenvalue: 1e-3 is the most), and how many lower limits exceed that run's standard deviations. coverage: at
+160x120, to 10 %, beside two runs of 1,024 paths per pixel, how often the 95 % intervals of the six hold
+their deviation, in the worst direction and pooled, and the largest |z| of the mean of F's 21 entries: of the
+answers; and, as controls, of the last two rounds mixed by what they turned out to know, and of 8 paths
+repeated until they say 10 % by themselves. figure: where the paths went in a room, error against time, into
+figures/adaptive.png.
 
 Tables go to adaptive.csv. Scenes by others are read from ../shared/data/mitsuba, where that is.
 """
@@ -19,6 +23,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import dataclasses
 import time
 import warnings
 from pathlib import Path
@@ -27,7 +32,9 @@ from typing import Any
 import numpy as np
 
 from mitsuba_crb import pose_bound
+from mitsuba_crb.bound.cramer_rao import cramer_rao_bound
 from mitsuba_crb.errors import MitsubaCRBError
+from mitsuba_crb.information.symmetric import pack
 from mitsuba_crb.measure.adaptive import Rounds
 from mitsuba_crb.measure.measurement import measurement
 
@@ -35,9 +42,13 @@ ROOT = Path(__file__).parents[1]
 OTHERS = ROOT.parent / "shared" / "data" / "mitsuba"
 FILE = Path(__file__).with_suffix(".csv")
 FIGURE = Path(__file__).parent / "figures" / "adaptive.png"
-PARTS = ("gains", "times", "price", "verdicts", "figure")
+PARTS = ("gains", "times", "price", "verdicts", "coverage", "figure")
 
 SMALL = (160, 120)
+COVERED = {
+    "boxes": ROOT / "scenes" / "boxes" / "boxes.xml",
+    "staircase2": OTHERS / "staircase2" / "scene.xml",
+}
 GAINS = {
     "textured_room": ROOT / "scenes" / "textured_room" / "textured_room.xml",
     "staircase2": OTHERS / "staircase2" / "scene.xml",
@@ -105,7 +116,7 @@ def scenes() -> list[Path]:
 
 def times(scene: Path) -> dict[str, Any]:
     """Until the default answers."""
-    start = time.perf_counter()
+    start, cpu = time.perf_counter(), time.process_time()
     try:
         bound = pose_bound(scene)
     except MitsubaCRBError as error:
@@ -116,6 +127,7 @@ def times(scene: Path) -> dict[str, Any]:
         "scene": scene.parent.name,
         "pixels": f"{width}x{height}",
         "seconds": time.perf_counter() - start,
+        "CPU seconds": time.process_time() - cpu,
         "spp": paths(bound),
         "error": float(np.nanmax(bound.relative_standard_error, initial=0.0)),
         **{name: bound.verdicts.count(name) for name in ("seen", "unseen", "not resolved")},
@@ -172,6 +184,104 @@ def verdicts(scene: Path, seeds: int) -> dict[str, Any]:
         "limits": limits,
         "limits above": wrong,
     }
+
+
+def coverage(name: str, seeds: int) -> list[dict[str, Any]]:
+    """Intervals, and the mean of the information, of the answers and of two ways to do it wrong."""
+    goal = 0.1
+    options: dict[str, Any] = {"size": SMALL}
+    with measurement(COVERED[name], **options) as run:
+        options["exposure"] = run.exposure.white
+    many = [pose_bound(COVERED[name], spp=1024, seed=(1 << 20) + seed, **options) for seed in range(2)]
+    truth = Found.mean([Found.of(bound) for bound in many])
+    kinds: dict[str, list[Found]] = {"answer": [], "rounds mixed": [], "stopped": []}
+    for seed in range(seeds):
+        with measurement(COVERED[name], precision=goal, seed=seed, **options) as run:
+            noise, _ = run.noise(None)
+            rounds = Rounds(run, noise)
+            own = rounds.decided().information(noise)
+            kinds["answer"].append(Found.of(cramer_rao_bound(own)))
+            if rounds.last is not None:
+                pilot = rounds.last.joint.information
+                kinds["rounds mixed"].append(Found.of(cramer_rao_bound(mixed([own, pilot]))))
+        parts = []
+        for turn in range(64):
+            with measurement(COVERED[name], spp=8, seed=1000 * (seed + 1) + turn, **options) as run:
+                parts.append(run.information(run.noise(None)[0]))
+            found = cramer_rao_bound(averaged(parts))
+            if turn and np.nan_to_num(found.relative_standard_error, nan=np.inf).max() < goal:
+                break
+        kinds["stopped"].append(Found.of(found))
+    return [
+        {"part": "coverage", "scene": name, "how": how, "runs": len(all_), **Found.beside(all_, truth)}
+        for how, all_ in kinds.items()
+        if len(all_) > 1
+    ]
+
+
+@dataclasses.dataclass(frozen=True)
+class Found:
+    """What a bound says, and how sure it is."""
+
+    entries: np.ndarray
+    """(21,) of F."""
+    variances: np.ndarray
+    """(21,) of their errors."""
+    stds: np.ndarray
+    """(6,)."""
+    errors: np.ndarray
+    """(6,) of the standard deviations."""
+
+    @staticmethod
+    def of(bound: Any) -> Found:
+        """Of a bound."""
+        F, stds = bound.information.to_frame("camera"), deviations(bound)
+        errors = stds * bound.relative_standard_error
+        return Found(pack(F.matrix), np.diagonal(F.covariance_of_entries), stds, errors)
+
+    @staticmethod
+    def mean(all_: list[Found]) -> Found:
+        """Of independent runs."""
+        n = len(all_)
+        return Found(
+            np.mean([each.entries for each in all_], axis=0),
+            np.mean([each.variances for each in all_], axis=0) / n,
+            np.mean([each.stds for each in all_], axis=0),
+            np.sqrt(np.mean([each.errors**2 for each in all_], axis=0) / n),
+        )
+
+    @staticmethod
+    def beside(all_: list[Found], truth: Found) -> dict[str, float]:
+        """How many intervals hold the truth, and how far the mean is from it."""
+        stds, errors = (np.array([getattr(each, name) for each in all_]) for name in ("stds", "errors"))
+        holds = np.abs(stds - truth.stds) <= 1.96 * np.hypot(errors, truth.errors)
+        entries = np.array([each.entries for each in all_])
+        error = np.sqrt(entries.var(axis=0, ddof=1) / len(all_) + truth.variances)
+        return {
+            "worst": float(holds.mean(axis=0).min()),
+            "pooled": float(holds.mean()),
+            "largest z": float(np.abs((entries.mean(axis=0) - truth.entries) / error).max()),
+        }
+
+
+def averaged(parts: list[Any], weights: np.ndarray | None = None) -> Any:
+    """The information that independent estimates say together."""
+    shares = np.full(len(parts), 1.0 / len(parts)) if weights is None else weights / weights.sum()
+    return dataclasses.replace(
+        parts[0],
+        matrix=sum(w * part.matrix for w, part in zip(shares, parts, strict=True)),
+        covariance_of_entries=sum(
+            w**2 * part.covariance_of_entries for w, part in zip(shares, parts, strict=True)
+        ),
+        plain_matrix=sum(w * part.plain_matrix for w, part in zip(shares, parts, strict=True)),
+    )
+
+
+def mixed(parts: list[Any]) -> Any:
+    """By weights that their own stated errors decide: what is low by chance says that it is sure."""
+    scale = pack(np.outer(parts[0].scale, parts[0].scale))
+    own = [float(np.sum(np.diagonal(part.covariance_of_entries) * scale**2)) for part in parts]
+    return averaged(parts, 1.0 / np.array(own))
 
 
 def figure() -> None:
@@ -238,14 +348,17 @@ def main() -> None:
     if "verdicts" in options.only:
         there = [path for path in scenes() if not wanted or path.parent.name in wanted]
         jobs += [lambda path=path: verdicts(path, min(options.seeds, 20)) for path in there]
+    if "coverage" in options.only:
+        there = [name for name, path in COVERED.items() if path.exists() and (not wanted or name in wanted)]
+        jobs += [lambda name=name: coverage(name, options.seeds) for name in there]
     if "price" in options.only:
         jobs.append(lambda: price(5))
     for job in jobs:
-        rows.append(job())
-        print(
-            "  ".join(f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in rows[-1].items()),
-            flush=True,
-        )
+        found = job()
+        for row in found if isinstance(found, list) else [found]:
+            rows.append(row)
+            words = (f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items())
+            print("  ".join(words), flush=True)
     if "figure" in options.only:
         figure()
     if rows and not wanted:
