@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-from ..errors import MitsubaCRBError, SceneWarning
+from ..errors import MitsubaCRBError, SceneError, SceneWarning
 from ..measure.nuisances import name_parameters
 from ..measure.opening import as_world, fingerprint, wanted
 from ..measure.options import MeasurementOptions
+from ..render.demos import scene_path
 from ..render.fit import Wanted
 from ..render.lending import in_turn
 from ..render.scene import SceneFile
@@ -21,7 +21,11 @@ from .view_field import ViewField
 def world_at_hand(field: ViewField) -> Any:
     """A scene or a field, loaded; None if its file is missing, cannot be loaded, or is another one now."""
     settings = field.settings
-    file = Path(str(settings.get("scene", "")))
+    scene = str(settings.get("scene", ""))
+    try:
+        file = scene_path(scene)
+    except SceneError:  # a demo that no longer comes along
+        return None
     if not file.is_file():
         return None
     defines, size, camera = (settings.get(name) for name in ("defines", "size", "camera"))

@@ -284,3 +284,12 @@ def test_outlines_are_of_the_world_that_was_measured_and_of_no_other(tmp_path: P
     assert world_at_hand(field) is None
     file.unlink()
     assert page.outlines_of(field) is None
+
+
+def test_outlines_of_a_demo_are_found_from_any_folder() -> None:
+    loaded, label = as_world("demo:boxes", Wanted(0, (32, 24)))
+    settings = {"scene": label, "scene_contents": fingerprint(loaded, label, {}), "size": [32, 24]}
+    dataset = small_field(shape=(2, 2), headings=1).dataset
+    assert world_at_hand(ViewField(dataset.assign_attrs(settings=json.dumps(settings)))) is not None
+    settings["scene"] = "demo:of_another_version"
+    assert world_at_hand(ViewField(dataset.assign_attrs(settings=json.dumps(settings)))) is None
