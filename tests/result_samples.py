@@ -54,6 +54,7 @@ from mitsuba_crb.measure.teams import TeamFusion, TeamSelection
 from mitsuba_crb.measure.tone import Tone
 from mitsuba_crb.noise import Gaussian
 from mitsuba_crb.noise.residuals import residual_covariance
+from mitsuba_crb.planning.candidates import Candidates
 from mitsuba_crb.planning.next_view import NextViews
 from mitsuba_crb.planning.odometry import Odometry
 from mitsuba_crb.planning.path_search import PathPlan
@@ -353,6 +354,8 @@ def _plans(rng: np.random.Generator) -> Iterator[Record]:
         length_scale=2.0,
         ridge=1.0,
     )
+    numbers = np.array([0, 3])
+    yield Candidates(poses, numbers, numbers, np.array([0.0, 1.0, 0.0]), {"kind": "grid", "pitch": [0.0]})
     odometry = Odometry(0.05, 1.0 / 3.0)
     yield odometry
     found = PathPlan(

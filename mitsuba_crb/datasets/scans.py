@@ -56,6 +56,8 @@ def read_scan(file: Path) -> World:
                 "the file, or remove the reference"
             )
         shown = [mesh for mesh in scene.geometry.values() if isinstance(mesh, trimesh.Trimesh)]
+        if not shown and file.suffix.lower() == ".stl":  # whose damage passes for a text without triangles
+            raise SceneError(f"{file} is damaged or cut off (no triangle is in it); export it again")
         return World(
             [_mesh(mesh, file, f"{file.stem} {i}" if i else file.stem) for i, mesh in enumerate(shown)]
         )

@@ -48,6 +48,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..datasets.poses import load_poses
 from ..errors import OptionError
+from ..files import Record
 from ..measure.options import MeasurementKeywords
 from ..se3 import Array, as_pose
 from .forms import (
@@ -84,7 +85,7 @@ _SAME_PLACE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Candidates:
+class Candidates(Record):
     """Poses that a plan may choose from."""
 
     poses: Array

@@ -14,6 +14,7 @@ import pytest
 
 from mitsuba_crb import pose_bound, se3
 from mitsuba_crb.cli import app as cli
+from mitsuba_crb.measure import many
 from mitsuba_crb.measure import poses as module
 from mitsuba_crb.render.view import open_view
 
@@ -45,7 +46,7 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], list[Any]]:
                 raise KeyboardInterrupt
             return pose_bound(*args, **kwargs)
 
-        monkeypatch.setattr(module, "pose_bound", measured)
+        monkeypatch.setattr(many, "pose_bound", measured)
         return calls
 
     return count
