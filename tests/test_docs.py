@@ -5,6 +5,7 @@ A page's commands run in order in one empty folder, as a reader would run them.
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import subprocess
@@ -70,6 +71,8 @@ def test_commands_do_what_the_page_says(
     for name in ("scenes", "docs"):
         (tmp_path / name).symlink_to(ROOT / name)
     monkeypatch.chdir(tmp_path)
+    # `python` is this one, also where its environment is not activated.
+    monkeypatch.setenv("PATH", os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
     for block in BLOCKS[page]:
         if block.marked:
             _run(block, capfd)
