@@ -74,7 +74,7 @@ def notebook_page(path: Path) -> tuple[str, dict[str, bytes]]:
     parts, pictures, heading = [], {}, path.stem
     for cell in nbformat.read(path, as_version=4).cells:
         if cell.cell_type == "markdown":
-            parts.append(cell.source)
+            parts.append(re.sub(r"\]\((\w+)\.ipynb\)", r"](\1.md)", cell.source))  # to other notebooks
             heading = (re.findall(r"^#+ (.*)", cell.source, re.MULTILINE) or [heading])[-1]
             continue
         parts.append(_fenced(cell.source, "python"))
