@@ -122,10 +122,10 @@ def paths_words(document: Mapping[str, Any]) -> str:
     if not sampling:
         return f"{document['spp']} per pixel in {document['batches']} batches, seed {document['seed']}"
     spp = sampling["spp"]
-    return (
-        f"{spp['least']} to {spp['most']} per pixel ({spp['mean']:.3g} on average) in "
-        f"{document['batches']} batches, seed {document['seed']}"
-    )
+    paths = f"{spp['most']} per pixel"
+    if spp["least"] < spp["most"]:
+        paths = f"{spp['least']} to {paths} ({spp['mean']:.3g} on average)"
+    return f"{paths} in {document['batches']} batches, seed {document['seed']}"
 
 
 def _further(document: Mapping[str, Any]) -> list[tuple[Any, ...]]:
