@@ -26,7 +26,9 @@ from mitsuba_crb.planning.candidates import candidates_of
 from mitsuba_crb.planning.field_run import measure_field
 from mitsuba_crb.planning.view_field import ViewField, open_field
 
-COMMAND = [sys.executable, "-c", "from mitsuba_crb.cli.app import main; main()", "field"]
+_START = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+"""Before the command: what shells start in the background ignores Ctrl-C, and so does all that it starts."""
+COMMAND = [sys.executable, "-c", f"{_START}; from mitsuba_crb.cli.app import main; main()", "field"]
 FEW = ["--size", "12x8", "--spp", "16"]
 pytestmark = pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")
 
