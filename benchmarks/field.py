@@ -25,7 +25,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ import drjit as dr
 import numpy as np
 
 from mitsuba_crb import SceneFile, pose_bound
+from mitsuba_crb.errors import SaturatedError
 from mitsuba_crb.measure.opening import wanted
 from mitsuba_crb.measure.options import MeasurementOptions
 from mitsuba_crb.planning import field_run
@@ -93,7 +94,8 @@ def rate(views: Candidates, size: tuple[int, int], folder: Path) -> float:
         else:
             start = time.perf_counter()
             for pose in views.poses[before:done]:
-                pose_bound(loaded, pose=pose, size=size, exposure=white[0])
+                with suppress(SaturatedError):  # as the field has it: it sees nothing
+                    pose_bound(loaded, pose=pose, size=size, exposure=white[0])
             counts.append(done - before)
             times["field"].append(field)
             times["warm"].append(time.perf_counter() - start)
