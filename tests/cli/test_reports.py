@@ -59,6 +59,7 @@ def test_the_page_of_many_poses_has_a_row_for_each(tmp_path, capsys):
     assert text.count('class="pose"') == 2
 
 
+@pytest.mark.slow
 def test_the_page_of_a_field_shows_the_world_which_is_loaded_once_for_all_that_is_drawn(
     tmp_path, capsys, monkeypatch
 ):

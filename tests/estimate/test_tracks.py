@@ -224,6 +224,7 @@ class TestFields:
 
 
 class TestBadInput:
+    @pytest.mark.slow
     def test_too_little_texture(self):
         with pytest.raises(PointsError, match="found 0 corners"):
             feature_tracks(scene(wall=wall()), SIGMA, **SMALL)

@@ -139,6 +139,7 @@ def agree(a: Any, b: Any, tolerance: float = 0.03) -> bool:
     return bool(np.all(np.abs(one - other) <= np.maximum(tolerance * np.abs(other), 4.0 * error)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.0, 2.0])
 def test_contours_that_count_wrongly_are_found_and_mended(
     factor: float, monkeypatch: pytest.MonkeyPatch
@@ -289,6 +290,7 @@ def test_noise_that_hardly_couples_pixels_says_of_differences_what_independent_n
         assert misfit(found.covariance_of_entries, one.information.covariance_of_entries) < 1e-6
 
 
+@pytest.mark.slow
 def test_a_random_subset_says_of_differences_what_all_pixels_do() -> None:
     shares = [
         information(clipped_floor("near"), pixels=pixels).provenance["finite_differences"]["share"]

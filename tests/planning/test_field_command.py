@@ -52,6 +52,7 @@ def values(field: ViewField) -> dict[str, bytes]:
     return {name: array.values.tobytes() for name, array in data if name != "seconds"}
 
 
+@pytest.mark.slow
 def test_it_says_what_became_of_the_views_and_goes_on(
     splats: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -202,6 +202,7 @@ def overlaps(figure: Figure) -> list[tuple[str, str]]:
     return [(a, b) for (a, p), (b, q) in itertools.combinations(boxes, 2) if p.overlaps(q)]
 
 
+@pytest.mark.slow
 def test_no_labels_touch(field: ViewField) -> None:
     assert not overlaps(page.field_figure(field))
     assert not overlaps(page.next_views_figure(field, [0, 17, 30], have=[12]))
@@ -250,6 +251,7 @@ def ring() -> ViewField:
     return ViewField(dataset)
 
 
+@pytest.mark.slow
 def test_other_fields_can_be_drawn(blind: ViewField, tmp_path: Path) -> None:
     around = ring()
     assert "a direction is unseen" in words(page.field_figure(blind))

@@ -73,6 +73,7 @@ def is_that_of(field: ViewField, index: int, bound: PoseBound) -> bool:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [FEW, {"size": (12, 8), "precision": 0.2}], ids=["spp", "precision"])
 def test_each_view_is_that_of_its_pose_alone(options: dict[str, Any], tmp_path: Path) -> None:
     world = WORLD
@@ -89,6 +90,7 @@ def test_each_view_is_that_of_its_pose_alone(options: dict[str, Any], tmp_path: 
     assert field.dataset["paths"].values.min() >= 12 * 8 * 8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["splats", "hash grid"])
 def test_a_radiance_field_s_views_are_those_of_its_bounds(kind: str, splats: Path, tmp_path: Path) -> None:
     if kind == "splats":
@@ -116,6 +118,7 @@ def small_hash_grid() -> HashGrid:
     return HashGrid("made", design, space, entries, weights, everywhere(design.cells), (0.1, 0.5, 0.9))
 
 
+@pytest.mark.slow
 def test_of_colour_and_depth_and_with_a_prior_the_information_is_the_image_s_alone(tmp_path: Path) -> None:
     world = WORLD
     for k, options in enumerate(({"measure": "rgbd"}, {"nuisances": ["gain"]})):
@@ -160,6 +163,7 @@ def test_anybody_s_xarray_reads_it(splats: Path, tmp_path: Path) -> None:
     assert len(open_field(store)) == 5
 
 
+@pytest.mark.slow
 def test_batches_and_order_change_no_bit(splats: Path, tmp_path: Path) -> None:
     views = around(splats)
     one = measure_field(splats, views, tmp_path / "1.zarr", batch=1)
@@ -171,6 +175,7 @@ def test_batches_and_order_change_no_bit(splats: Path, tmp_path: Path) -> None:
         assert np.array_equal(back.dataset[name].values[::-1], one.dataset[name].values)
 
 
+@pytest.mark.slow
 def test_views_from_nowhere_are_not_measured(
     splats: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -204,6 +209,7 @@ def test_where_all_is_saturated_an_image_tells_nothing_and_the_run_goes_on(tmp_p
     assert not any(one.matrix.any() for one in field.information())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("when", [1, 3])
 def test_an_interrupted_run_goes_on_where_it_stopped(splats: Path, tmp_path: Path, when: int) -> None:
     views, store = around(splats), tmp_path / "views.zarr"
@@ -227,6 +233,7 @@ def test_an_interrupted_run_goes_on_where_it_stopped(splats: Path, tmp_path: Pat
     assert again.dataset.attrs == whole.dataset.attrs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("written", [0, 3, 40, 70, 110])
 def test_a_full_disk_costs_what_was_in_flight(
     splats: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, written: int

@@ -89,6 +89,7 @@ def test_the_bound_is_that_of_agents_fused_on_one_body(field: ViewField) -> None
     assert found.position_bound_standard_error[-1] > 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("objective", OBJECTIVES)
 def test_the_choice_does_not_depend_on_where_the_world_has_its_origin(
     field: ViewField, objective: str

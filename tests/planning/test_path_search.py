@@ -135,6 +135,7 @@ def test_no_walk_at_all_is_shorter(field: ViewField, odometry: Odometry) -> None
     assert len(lengths) >= 2  # the limit decides something
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("odometry", [None, ODOMETRY, TURNING], ids=["none", "turns are free", "turns cost"])
 def test_a_larger_limit_never_makes_it_longer_and_the_smallest_one_is_just_enough(
     large: ViewField, odometry: Odometry | None

@@ -65,6 +65,7 @@ def unpacked(values) -> np.ndarray:
     return found.reshape(shape)
 
 
+@pytest.mark.slow
 def test_a_mark_says_what_the_store_says_of_its_best_view(field):
     page = field_page(field, outlook(), None)
     shown = traces(page)["places"]
@@ -155,6 +156,7 @@ def test_of_very_many_places_the_best_of_those_that_are_near_is_drawn_and_that_i
         assert many(300).position_bound[view] == value
 
 
+@pytest.mark.slow
 def test_the_page_of_many_thousand_views_stays_small(tmp_path):
     path = tmp_path / "page.html"
     write_field_report(path, many(9000), outlook(36_000), None, ORIGIN)
