@@ -95,6 +95,7 @@ def test_gain_black_and_pose_are_found_together(wall: Any, truth: Any) -> None:
     assert wrong.residual > 3.0
 
 
+@pytest.mark.slow
 def test_a_file_is_aligned_by_the_command(
     scenes: Path, truth: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -142,6 +142,7 @@ class TestAgainstTheImage:
         np.testing.assert_allclose(shares, 1.0, atol=0.05)
         assert eigvalsh(tracks.information.matrix, tracks.image_information.matrix)[-1] < 0.35
 
+    @pytest.mark.slow
     def test_the_image_s_information_is_that_of_the_bound(self, room):
         found, tracks = room
         same = fisher_information(pose_jacobian(found, **ROOM), SIGMA)

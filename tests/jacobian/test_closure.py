@@ -182,6 +182,7 @@ def clipped_floor(plane: str) -> dict[str, Any]:
     return {"type": "scene", "sensor": sensor, "floor": floor}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plane", ["far", "near"])
 def test_a_clip_plane_moves_with_the_camera(plane: str) -> None:
     """A bright floor that ends at the plane: its edge tells height and pitch as one number, and roll.
