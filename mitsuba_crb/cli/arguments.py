@@ -228,6 +228,30 @@ def view_options(
     }
 
 
+def sensor_options(
+    *,
+    channels: str | None,
+    measure: str,
+    depth_sigma: str | None,
+    depth_range: str | None,
+    depth_edges: bool,
+    exposure: str | None,
+    no_clip: bool,
+) -> dict[str, Any]:
+    """What the camera measures and how it exposes, as the library's keywords."""
+    from ..measure.sensing import parse_depth_sigma, parse_range
+
+    return {
+        "channels": channels,
+        "measure": measure,
+        "depth_edges": depth_edges,
+        "depth_sigma": parse_depth_sigma(depth_sigma),
+        "depth_range": parse_range(depth_range),
+        "exposure": parse_exposure(exposure),
+        "clip": not no_clip,
+    }
+
+
 def view_files(
     scene: Path, pose: str | None, camera: str | None, pixels: str | None, body: str | None = None
 ) -> list[Path]:

@@ -139,14 +139,13 @@ def bound(
     """
     with foreseen(debug, variant):
         from ..export.targets import check_targets
-        from ..measure.sensing import parse_depth_sigma, parse_range
         from .arguments import (
             camera_of_body,
             parse_body_from_camera,
             parse_displacements,
-            parse_exposure,
             parse_noise,
             scene_defines,
+            sensor_options,
             view_files,
             view_options,
         )
@@ -178,9 +177,15 @@ def bound(
         )
         if body is not None and pose is not None:
             options["pose"] = camera_of_body(options["pose"], body)
-        options |= {"channels": channels, "measure": measure, "depth_edges": depth_edges}
-        options |= {"depth_sigma": parse_depth_sigma(depth_sigma), "depth_range": parse_range(depth_range)}
-        options |= {"exposure": parse_exposure(exposure), "clip": not no_clip}
+        options |= sensor_options(
+            channels=channels,
+            measure=measure,
+            depth_sigma=depth_sigma,
+            depth_range=depth_range,
+            depth_edges=depth_edges,
+            exposure=exposure,
+            no_clip=no_clip,
+        )
         defines = scene_defines(scene, define, light, up)
         noise = parse_noise(sigma, noise_file)
         twists = parse_displacements(displacements, hcr=hcr)

@@ -152,13 +152,12 @@ def field(
     """
     with foreseen(debug, variant):
         from ..export.targets import check_targets
-        from ..measure.sensing import parse_depth_sigma, parse_range
         from ..render.scene import SceneFile
         from .arguments import (
             parse_body_from_camera,
-            parse_exposure,
             parse_noise,
             scene_defines,
+            sensor_options,
             view_files,
             view_options,
         )
@@ -178,9 +177,16 @@ def field(
             seed=seed,
             batches=batches,
         )
-        options |= {"channels": channels, "measure": measure, "depth_edges": depth_edges, "method": method}
-        options |= {"depth_sigma": parse_depth_sigma(depth_sigma), "depth_range": parse_range(depth_range)}
-        options |= {"exposure": parse_exposure(exposure), "clip": not no_clip}
+        options |= sensor_options(
+            channels=channels,
+            measure=measure,
+            depth_sigma=depth_sigma,
+            depth_range=depth_range,
+            depth_edges=depth_edges,
+            exposure=exposure,
+            no_clip=no_clip,
+        )
+        options["method"] = method
         defines = scene_defines(scene, define, light, up)
         noise = parse_noise(sigma, noise_file)
         inputs = view_files(scene, None, camera, pixels, body_from_camera)

@@ -21,9 +21,10 @@ from mitsuba_crb.measure.outlook import Outlook, Sight
 from mitsuba_crb.measure.pictures import Pictures, pictures_of
 from mitsuba_crb.noise import Gaussian
 from mitsuba_crb.show.report import Origin, write_bound_report
+from mitsuba_crb.show.report.ellipsoids import LEVELS, Ellipsoid
 from mitsuba_crb.show.report.layers import GRID, column_layer, map_layer, picture_layers
 from mitsuba_crb.show.report.markup import Markup, tag
-from mitsuba_crb.show.report.space import LEVELS, Ellipsoid, frustum, space
+from mitsuba_crb.show.report.space import frustum, space
 
 pytest.importorskip("plotly")
 

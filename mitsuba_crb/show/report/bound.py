@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 from ...noise.measured import DISPLAY_REFERRED, RADIANCE
 from ..bound_table import measured_facts, pixels_measured
+from .ellipsoids import Ellipsoid
 from .layers import picture_layers
 from .markup import Markup, joined, tag
 from .page import Origin, Page, section, side_by_side, write_page
-from .space import Ellipsoid, space
+from .space import space
 from .tables import cells, deviations, facts, number, significant, table, verdict_mark
 from .viewers import picture_viewer, space_viewer
 

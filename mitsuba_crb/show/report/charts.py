@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from .page import plotly_library
+from .traces import plain
 
 BLUE, ORANGE, GREEN, PURPLE, GREY, RED = "#3b82f6", "#ea580c", "#16a34a", "#9333ea", "#64748b", "#db2777"
 
@@ -44,7 +45,7 @@ def along_path(
             line={"color": BLUE, "width": 1.5},
             marker={"size": 5},
             customdata=[[index] for index in range(len(names))],
-            text=[_plain(name) for name in names],
+            text=[plain(name) for name in names],
             hovertemplate="%{text}: %{y:.3g}<extra></extra>",
             showlegend=False,
         )
@@ -60,7 +61,7 @@ def along_path(
                 name="not finite",
                 marker={"symbol": "x", "color": RED, "size": 8},
                 customdata=[[k] for k in hidden],
-                text=[_plain(names[k]) for k in hidden],
+                text=[plain(names[k]) for k in hidden],
                 hovertemplate="%{text}: not finite<extra></extra>",
             )
         )
@@ -160,7 +161,3 @@ def budgets(document: dict[str, Any], counts: str) -> dict[str, Any]:
 def _finite(value: Any) -> float | None:
     number = float(value) if value is not None else float("nan")
     return number if np.isfinite(number) else None
-
-
-def _plain(name: str) -> str:
-    return name.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

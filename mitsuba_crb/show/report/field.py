@@ -15,9 +15,10 @@ from ..field_table import PERCENTILE_HEADS, field_facts, percentile_rows
 from .field_colours import MARKS, colour_scale, logarithms
 from .field_maps import MOST_CELLS, field_maps
 from .markup import Markup, tag
-from .page import Origin, Page, plotly_library, section, side_by_side, write_page
+from .page import Origin, Page, section, side_by_side, write_page
 from .space import space
 from .tables import cells, facts, significant, table
+from .traces import lines, scatter
 from .viewers import chart_place, space_viewer
 
 if TYPE_CHECKING:
@@ -96,7 +97,6 @@ def mark_traces(field: ViewField, marks: Marks, first: int = 0) -> list[Any]:
         marks: of them.
         first: of the page's cameras, which one is the first mark's.
     """
-    go = plotly_library()
     best = marks.best
     levels = logarithms(best.values)
     traces = []
@@ -110,12 +110,9 @@ def mark_traces(field: ViewField, marks: Marks, first: int = 0) -> list[Any]:
             low, high = scale.pop("ends")
             scale["colorbar"] |= {"len": 0.7}
             style = {"color": levels[which], "cmin": low, "cmax": high, "size": 7.5, **scale}
-        x, y, z = best.positions[which].T
         traces.append(
-            go.Scatter3d(
-                x=x,
-                y=y,
-                z=z,
+            scatter(
+                best.positions[which],
                 mode="markers",
                 name=WORDS.get(kind, "places"),
                 marker={**style, "line": {"width": 0}},
@@ -128,10 +125,8 @@ def mark_traces(field: ViewField, marks: Marks, first: int = 0) -> list[Any]:
     if len(shown):
         start = best.positions[shown]
         ends = start + _ARROW * _apart(best.positions) * field.poses[best.view[shown], :3, 2]
-        x, y, z = np.stack([start, ends, np.full_like(start, np.nan)], axis=1).reshape(-1, 3).T
-        line = {"color": "#64748b", "width": 2}
-        name = "best direction to look"
-        traces.append(go.Scatter3d(x=x, y=y, z=z, mode="lines", line=line, name=name, hoverinfo="skip"))
+        arrows = np.stack([start, ends, np.full_like(start, np.nan)], axis=1).reshape(-1, 3)
+        traces.append(lines(arrows, {"color": "#64748b", "width": 2}, name="best direction to look"))
     return traces
 
 

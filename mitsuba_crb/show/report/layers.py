@@ -10,13 +10,14 @@ from __future__ import annotations
 import base64
 import io
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib import colormaps
 
-from ...measure.outlook import to_srgb
+from ...measure.outlook import Sight, to_srgb
 from ..plot import column_limit, map_block
 
 if TYPE_CHECKING:
@@ -69,6 +70,22 @@ def render_layer(
         "png": (webp if small else png)(shown),
         "grid": {"unit": unit, "channels": ["R", "G", "B"], **_quantised(cells)},
     }
+
+
+def sight_layers(sights: Sequence[Sight], *, small: bool = False) -> list[dict[str, Any]]:
+    """The renders of those of some cameras that have one, by their names; `small` as for `render_layer`."""
+    return [
+        render_layer(
+            sight.image,
+            name=sight.name,
+            unit="display value" if sight.displayed else "radiance",
+            displayed=sight.displayed,
+            about="a render of a few paths",
+            small=small,
+        )
+        for sight in sights
+        if sight.image is not None
+    ]
 
 
 def column_layer(column: Values, limit: float, *, name: str, unit: str, about: str) -> dict[str, Any]:

@@ -15,9 +15,10 @@ from ..plan_table import next_views_facts, next_views_notes, no_path, path_facts
 from .charts import RED, along_path
 from .field import about_marks, mark_traces, place_button
 from .markup import Markup, tag
-from .page import Origin, Page, plotly_library, section, side_by_side, write_page
+from .page import Origin, Page, section, side_by_side, write_page
 from .space import space
 from .tables import facts, significant, table
+from .traces import lines
 from .viewers import chart_place, space_viewer
 
 if TYPE_CHECKING:
@@ -124,9 +125,7 @@ def _steps(field: ViewField, result: PathPlan) -> Markup:
 
 
 def _line(result: PathPlan) -> Any:
-    x, y, z = result.poses[:, :3, 3].T
-    style = {"color": RED, "width": 8}
-    return plotly_library().Scatter3d(x=x, y=y, z=z, mode="lines", name="path", line=style, hoverinfo="skip")
+    return lines(result.poses[:, :3, 3], {"color": RED, "width": 8}, name="path")
 
 
 def _with_error(value: float, error: float) -> str:

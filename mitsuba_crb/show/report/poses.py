@@ -11,10 +11,11 @@ import numpy as np
 from ...files import jsonable
 from ..terminal import number_by_verdict
 from .charts import along_path
-from .layers import render_layer
+from .ellipsoids import Ellipsoid
+from .layers import sight_layers
 from .markup import Markup, tag
 from .page import Origin, Page, section, side_by_side, write_page
-from .space import Ellipsoid, space
+from .space import space
 from .tables import number, table
 from .viewers import chart_place, picture_viewer, space_viewer
 
@@ -60,20 +61,8 @@ def poses_page(table_: PoseTable, outlook: Outlook) -> Page:
         "position": along_path(table_.places, names, position, label="position [scene unit]"),
         "rotation": along_path(table_.places, names, rotation, label="rotation [deg]"),
     }
-    layers, pictured = [], []
-    for index, sight in enumerate(outlook.sights):
-        if sight.image is not None:
-            layers.append(
-                render_layer(
-                    sight.image,
-                    name=sight.name,
-                    unit="display value" if sight.displayed else "radiance",
-                    displayed=sight.displayed,
-                    about="a render of a few paths",
-                    small=True,
-                )
-            )
-            pictured.append(index)
+    layers = sight_layers(outlook.sights, small=True)
+    pictured = [index for index, sight in enumerate(outlook.sights) if sight.image is not None]
     lost = len(table_.lost)
     summary = [f"{len(rows)} poses", f"{lost} not of rank 6" if lost else "all of rank 6"]
     words = "" if step == 1 else f" Every {step}th ellipsoid is drawn."

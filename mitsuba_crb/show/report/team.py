@@ -10,10 +10,11 @@ import numpy as np
 
 from .bound import verdict_words
 from .charts import budgets
-from .layers import render_layer
+from .ellipsoids import Ellipsoid
+from .layers import render_layer, sight_layers
 from .markup import Markup, tag
 from .page import Origin, Page, section, write_page
-from .space import Ellipsoid, space
+from .space import space
 from .tables import cells, deviations, facts, number, significant, table
 from .viewers import chart_place, picture_viewer, space_viewer
 
@@ -46,17 +47,7 @@ def fusion_page(document: Mapping[str, Any], outlook: Outlook) -> Page:
         Ellipsoid.of(agent["name"], agent["pose"], agent["ellipsoids"]["position"]) for agent in agents
     ]
     view = space(outlook, ellipsoids)
-    layers = [
-        render_layer(
-            sight.image,
-            name=sight.name,
-            unit="display value" if sight.displayed else "radiance",
-            displayed=sight.displayed,
-            about="a render of a few paths",
-        )
-        for sight in outlook.sights
-        if sight.image is not None
-    ]
+    layers = sight_layers(outlook.sights)
     sections = [
         section(f"Bound of {document['body']}", deviations(document, "body"), verdict_words(document)),
         section("Pictures", picture_viewer("agents", layers, label="What an agent sees")),

@@ -14,10 +14,11 @@ from ..bound_table import pixels_measured
 from ..terminal import paths_said
 from .bound import verdict_words
 from .charts import calibration, ratios
+from .ellipsoids import Ellipsoid
 from .layers import render_layer
 from .markup import Markup, tag
 from .page import Origin, Page, section, side_by_side, write_page
-from .space import Ellipsoid, space
+from .space import space
 from .tables import cells, deviations, facts, number, significant, table
 from .viewers import chart_place, picture_viewer, space_viewer
 
