@@ -27,6 +27,7 @@ _PIECE = 16.0
 """Longest piece that a line is cut into [pixel]."""
 _BOW_PIECE = 8.0
 """Longest piece, about, that a conic is cut into [pixel]."""
+_HALVINGS = 64
 
 
 EDGE, TANGENT, CIRCLE, RIM = range(4)
@@ -362,6 +363,15 @@ def _cut_bows(bows: Curves, camera: Camera, frame: Floats) -> Curves:
     box, length = bounds(trial, camera)
     longest = np.where(_overlap(box, frame), length, 0.0).reshape(-1, 64).max(axis=1, initial=0.0)
     pieces = _divide(bows, np.clip(np.ceil(64.0 * longest / _BOW_PIECE), 16.0, 4096.0).astype(np.int64))
+    for _ in range(_HALVINGS):
+        box, length = bounds(pieces, camera)
+        held = _overlap(box, frame)
+        long = held & (length > 2.0 * _BOW_PIECE)
+        if not long.any():
+            break
+        # Those that run to the near plane, whose rectangle is the whole film and far more.
+        halves = _divide(pieces.part(np.flatnonzero(long)), np.full(np.count_nonzero(long), 2))
+        pieces = Curves.join([pieces.part(np.flatnonzero(held & ~long)), halves])
     return pieces.part(np.flatnonzero(_overlap(bounds(pieces, camera)[0], frame)))
 
 

@@ -169,6 +169,17 @@ def test_what_lies_behind_the_camera_is_left_out() -> None:
     assert film_length(Curves.of(CIRCLE, np.zeros((1, 3)), np.array([[9.0, 0, 0]]))) == 0.0  # at its centre
 
 
+@pytest.mark.parametrize("near", [1e-2, 1e-5])
+def test_what_runs_beside_the_film_to_the_cameras_plane_has_no_piece_on_it(near: float) -> None:
+    """A rim and a ball that begin behind the camera: their last pieces' rectangles hold the whole film."""
+    scale = np.array([-1e-3, -1e-3])
+    lens = Camera(scale, -scale * 2000.0, (4000, 4000), near)
+    rim = Curves.of(RIM, np.array([[0.2, -3.0, 0.0]]), np.array([[0, 0, 0.5]]), np.array([[0.5, 0, 0]]))
+    ball = Curves.of(CIRCLE, np.array([[-2.0, 0.3, 0.1]]), np.array([[0.5, 0, 0]]))
+    for curve in (rim, ball):
+        assert len(cut(curve, lens, np.array([0.0, 0.0, 4000.0, 4000.0]))) == 0
+
+
 # In scenes
 
 
