@@ -44,6 +44,8 @@ from .linearisation import Linearisation, Linearised
 from .symmetric import pack
 
 Columns = list[int]
+Directions = dict[int, Array]
+"""What is left of columns, each a vector (P,), by the column's number."""
 
 RESOLVED = 5.0
 """Standard errors of a column's information above which it counts; below, 1/D would be mostly noise."""
@@ -148,7 +150,7 @@ class JointInformation(Linearised):
         return self._elimination[0]
 
     @property
-    def _elimination(self) -> tuple[Array, Columns]:
+    def _elimination(self) -> tuple[Array, Directions]:
         unknown = [6 + k for k, name in enumerate(self.parameters) if name in self._unknown]
         return _eliminate(self._unknown_sums, unknown)
 
@@ -176,6 +178,14 @@ class JointInformation(Linearised):
         """Unknown nuisances of the whole image that noise hides: the information has them as known."""
         hidden = {self.parameters[column - 6] for column in self._elimination[1]}
         return tuple(name for name in dict.fromkeys(self.parameters) if name in hidden)
+
+    @property
+    def blurred(self) -> tuple[Array, Array]:
+        """Of the `unresolved` columns b (h, 6 + m), what is left of each, and (h,) what bᵀ F b must exceed."""
+        sums = self._unknown_sums
+        found = list(self._elimination[1].values())
+        least = [_noise(sums.transform(b[:, None])) for b in found]
+        return np.reshape(found, (-1, len(sums.matrix))), np.array(least, dtype=np.float64)
 
     def _treat(self, names: tuple[str, ...], how: Literal["marginalized", "fixed"]) -> JointInformation:
         self._check(names)
@@ -380,8 +390,8 @@ def _side_of(name: str) -> int | None:
     return int(found[1]) if found else None
 
 
-def _eliminate(sums: Sums, unknown: Columns, kept: Columns | None = None) -> tuple[Array, Columns]:
-    """G (P, len(kept)) that takes unknown columns, one by one, out of an information; those that noise hides.
+def _eliminate(sums: Sums, unknown: Columns, kept: Columns | None = None) -> tuple[Array, Directions]:
+    """G (P, len(kept)) that takes unknown columns, one by one, out of an information; what noise hides.
 
     Args:
         sums: of all P columns.
@@ -389,7 +399,8 @@ def _eliminate(sums: Sums, unknown: Columns, kept: Columns | None = None) -> tup
         kept: columns that stay, the twist's six by default; all others are known.
     """
     left = [*(range(6) if kept is None else kept), *unknown]
-    G, hidden = np.eye(len(sums.matrix))[:, left], []
+    G = np.eye(len(sums.matrix))[:, left]
+    hidden: Directions = {}
     for column in unknown:
         own = left.index(column)
         row = G[:, own] @ sums.matrix @ G
@@ -397,7 +408,7 @@ def _eliminate(sums: Sums, unknown: Columns, kept: Columns | None = None) -> tup
         if _seen(sums, G[:, own], column):
             step[own] = -np.delete(row, own) / row[own]
         elif _hidden(sums, G[:, own], column):
-            hidden.append(column)
+            hidden[column] = G[:, own]
         G = G @ step
         left.remove(column)
     return G, hidden

@@ -2,7 +2,7 @@
 
 A pilot gives every pixel a few paths. What it has seen says how many more which part of the film should get
 (`allocation`) for every standard deviation that is seen to reach its precision, and for those that noise
-still hides to come out of it. If that is many times what has been spent, or something is hidden, a round in
+still hides, unknown nuisances among them, to come out of it. If that is many times what has been spent, or something is hidden, a round in
 between betters what is known. Size and allocation of the last round are fixed before its random numbers are
 drawn; it alone is the answer, and its error is reported whatever it is: neither is mixed with the paths that
 decided on it, and it is not topped up until it looks precise. So no choice made here biases the information.
@@ -56,7 +56,7 @@ class Round:
     precision: float
     """Largest relative standard error of the standard deviations that are seen; infinite if none is."""
     hidden: int
-    """How many of the six noise still hides."""
+    """How many of the six and of the unknown nuisances noise still hides."""
     ahead: int
     """Paths of the next round."""
 
@@ -161,7 +161,8 @@ class Rounds:
         bound = self._bound(found.joint)
         needs, hidden = self._needs(found, bound)
         spp = allocate(needs, self._least, left)
-        if bound.rank < 6 and any(each.hidden for each in self.done):
+        infers = bound.rank < 6 or len(found.joint.parameters) > 0
+        if infers and any(each.hidden for each in self.done):
             # What it took to come out of the noise: with less, the answer would not say what is known.
             enough = np.maximum(spp, _AGAIN * plan.spp)
             spp = enough if self._cost(enough) <= left else self._in_between(needs, left)
@@ -196,28 +197,34 @@ class Rounds:
             return cramer_rao_bound(joint.marginalize().information, prior=self._prior)
 
     def _needs(self, found: Answer, bound: PoseBound) -> tuple[Needs, NDArray[np.bool_]]:
-        """What is to be expected of each cell, and which of the six standard deviations are not resolved."""
+        """What is to be expected of each cell, and which of the six standard deviations are not resolved.
+
+        Those are followed by the nuisances that noise hides.
+        """
         joint, selection = found.joint.marginalize(), self._run.selection
         vectors, values = sensitivities(joint, bound)
+        columns, least = joint.blurred
+        wanted = np.concatenate([vectors, columns]), np.concatenate([values, least])
         sampled = selection.kind == "random"
         scale = selection.total / selection.selected if sampled else 1.0
-        rounds = [(products.variance(vectors, values).scaled(scale), spp) for products, spp in self._seen]
+        rounds = [(products.variance(*wanted).scaled(scale), spp) for products, spp in self._seen]
         # What no paths can mend: the step of finite differences, and a random subset's choice.
         pose = vectors[:, :6]
         fixed = np.square(np.einsum("mi,ij,mj->m", pose, joint.bias, pose) / (2.0 * values))
         if sampled:
-            own = np.sum(rounds[-1][0].total, axis=1)
+            own = np.sum(rounds[-1][0].total[:6], axis=1)
             fixed += np.maximum(np.nan_to_num(np.square(bound.relative_standard_error)) - own, 0.0)
         precision = self._run.options.goal
         goal = np.maximum(precision**2 - fixed, _SMALL * fixed)
         # An axis may be infinite for one direction and have a share of another that is not resolved.
         blurred = bound.inverse.is_blurred(functionals(bound))
         goal[(np.array(bound.verdicts) == "unseen") & ~blurred] = np.inf
+        goal = np.concatenate([goal, np.full(len(least), precision**2)])
         needs = Needs.of(rounds, self._side, self._pixels, goal)
         # What the image may tell below its noise, where a prior makes the number finite without it.
         squares = np.square([*bound.position_std, *bound.rotation_std_deg])
         hidden = np.isfinite(squares) & (squares - values > precision * squares)
-        return needs.smoothed(), hidden | blurred
+        return needs.smoothed(), np.concatenate([hidden | blurred, np.ones(len(least), dtype=bool)])
 
 
 def functionals(bound: PoseBound) -> Array:

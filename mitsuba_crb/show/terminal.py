@@ -88,7 +88,7 @@ class Bar:
     def after(self, found: Round) -> None:
         """What a round came to, while the next one is on its way."""
         known = f"± {100 * found.precision:.2g} %" if math.isfinite(found.precision) else "nothing"
-        hidden = f", {found.hidden} of 6 not resolved" if found.hidden else ""
+        hidden = f", {found.hidden} not resolved" if found.hidden else ""
         self._doing = f"{known} so far{hidden}; measuring"
 
 
