@@ -181,7 +181,7 @@ class JointInformation(Linearised):
 
     @property
     def blurred(self) -> tuple[Array, Array]:
-        """Of the `unresolved` columns b (h, 6 + m), what is left of each, and (h,) what bᵀ F b must exceed."""
+        """Of `unresolved` columns what is left, b (h, 6 + m), and what bᵀ F b must exceed (h,)."""
         sums = self._unknown_sums
         found = list(self._elimination[1].values())
         least = [_noise(sums.transform(b[:, None])) for b in found]

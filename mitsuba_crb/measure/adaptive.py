@@ -2,10 +2,11 @@
 
 A pilot gives every pixel a few paths. What it has seen says how many more which part of the film should get
 (`allocation`) for every standard deviation that is seen to reach its precision, and for those that noise
-still hides, unknown nuisances among them, to come out of it. If that is many times what has been spent, or something is hidden, a round in
-between betters what is known. Size and allocation of the last round are fixed before its random numbers are
-drawn; it alone is the answer, and its error is reported whatever it is: neither is mixed with the paths that
-decided on it, and it is not topped up until it looks precise. So no choice made here biases the information.
+still hides, unknown nuisances among them, to come out of it. If that is many times what has been spent, or
+something is hidden, a round in between betters what is known. Size and allocation of the last round are fixed
+before its random numbers are drawn; it alone is the answer, and its error is reported whatever it is: neither
+is mixed with the paths that decided on it, and it is not topped up until it looks precise. So no choice made
+here biases the information.
 
 Source: design section 11; Muthukkumar 2025, outlook ("adaptive rendering").
 """
