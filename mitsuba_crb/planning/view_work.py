@@ -1,7 +1,8 @@
 """What a worker does: it opens the world on its first task, and measures views, as many tasks as it gets.
 
 Each view's bound is that of `pose_bound` at its pose, bit for bit. A worker that has other versions, no LLVM,
-or another world in the file of that name says so, and its own name, before it measures anything.
+or another world in the file of that name says so, and its own name, before it measures anything. After each
+task it gives freed memory back, so that it holds no more after thousands of views than after some.
 
 Where a limit is given, a first look, coarse and with random numbers of its own, decides how precisely a view
 is measured: as coarsely again if the 99 % interval of its position bound is wholly on one side of the limit,
@@ -30,7 +31,7 @@ from ..measure.options import MeasurementKeywords, MeasurementOptions
 from ..measure.stations import Station
 from ..measure.versions import versions
 from ..noise import NoiseModel
-from ..render.backend import use_mitsuba
+from ..render.backend import give_back_memory, use_mitsuba
 from ..render.lending import in_turn
 from ..render.random import derived_seed
 from ..render.scene import SceneFile
@@ -104,6 +105,7 @@ def measure_views(setup: Setup, views: Views) -> dict[str, NDArray[Any]]:
         _measured(shared, Station(str(index), pose, None), setup.limit)
         for index, pose in zip(views.indices, views.poses, strict=True)
     ]
+    give_back_memory()
     return {
         name: np.array([row[name] for row in rows], dtype=variable.dtype)
         for name, variable in MEASUREMENTS.items()

@@ -6,6 +6,7 @@ RGB. `cuda_ad_rgb` takes the same code to an NVIDIA GPU and needs no LLVM.
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import sys
 from collections.abc import Callable
@@ -69,6 +70,17 @@ def use_mitsuba(variant: str | None = None) -> str:
 def same_variant() -> Callable[[], str]:
     """What gives another process the variant of this one; picklable."""
     return functools.partial(use_mitsuba, current())
+
+
+def give_back_memory() -> None:
+    """Give the system back what Dr.Jit keeps for the next array, and what glibc's `malloc` does."""
+    import drjit as dr
+
+    dr.flush_malloc_cache()
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # other C libraries have none
+        if trim is not None:
+            trim(0)
 
 
 def _set(variant: str) -> None:

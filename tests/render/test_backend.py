@@ -137,3 +137,30 @@ def test_both_variants_measure_the_same_information():
 
 def _variant(_job: int) -> str | None:
     return backend.current()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="says how much a process holds in /proc")
+def test_freed_memory_goes_back_to_the_system():
+    """Arrays of Dr.Jit, and small blocks between others that stay; negative control: without the call."""
+    code = (
+        "import mitsuba_crb, resource, drjit as dr\n"
+        "from mitsuba_crb.render.backend import give_back_memory, use_mitsuba\n"
+        "use_mitsuba()\n"
+        "import mitsuba as mi\n"
+        "def held():\n"
+        "    pages = int(open('/proc/self/statm').read().split()[1])\n"
+        "    return pages * resource.getpagesize() / 2**20\n"
+        "for k in range(2):\n"
+        "    if k: give_back_memory()\n"
+        "    before = held()\n"
+        "    blocks = [bytes([1]) * 100_000 for _ in range(1000)]\n"
+        "    array = dr.arange(mi.Float, 25_000_000)\n"
+        "    dr.eval(array); dr.sync_thread()\n"
+        "    blocks = blocks[::50]\n"
+        "    del array\n"
+        "    if k: give_back_memory()\n"
+        "    print(held() - before, end=' ')\n"
+    )
+    kept, given_back = map(float, in_a_process(code).split())
+    assert kept > 150.0
+    assert given_back < 20.0
