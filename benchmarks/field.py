@@ -154,8 +154,7 @@ def timed(measure: Callable[[Callable[[int, int], None]], object], workers: int)
 
 def workers(views: Candidates, size: tuple[int, int], folder: Path) -> None:
     """Prints the second part."""
-    batch = max(1, min(8, len(views) // 16))
-    common: dict[str, Any] = {"size": size, "batch": batch}
+    common: dict[str, Any] = {"size": size}
 
     def run(name: str, **more: Any) -> Callable[[Callable[[int, int], None]], object]:
         return lambda told: measure_field(
