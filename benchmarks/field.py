@@ -27,7 +27,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mitsuba_crb  # isort: split
 
@@ -143,32 +143,52 @@ def cluster(folder: Path, workers: int) -> Iterator[str]:
             process.wait()
 
 
-def timed(measure: Callable[[Callable[[int, int], None]], object], workers: int) -> float:
-    """Views per second from when every worker has answered about once."""
-    told: list[tuple[float, int]] = []
-    measure(lambda done, _: told.append((time.perf_counter(), done)))
-    warm = 2 * workers
-    (start, before), (end, total) = told[warm], told[-1]
-    return (total - before) / (end - start)
+def timed(store: Path, measure: Callable[[Callable[[int, int], None]], object], workers: int) -> Timed:
+    """From when every worker has answered about twice."""
+    told: list[float] = []
+    left = np.zeros(0, dtype=bool)
+
+    def on_view(done: int, _: int) -> None:
+        nonlocal left
+        told.append(time.perf_counter())
+        if len(told) == 2 * workers + 1:
+            left = ~FieldStore(store).done
+            assert left.sum() == len(left) - done
+
+    measure(on_view)
+    return Timed(left, told[-1] - told[2 * workers])
+
+
+class Timed(NamedTuple):
+    """The views that were left when the clock began, and how long they took."""
+
+    left: np.ndarray
+    seconds: float
+
+    def rate(self, cost: np.ndarray) -> float:
+        """Work per second, by what each view (n,) costs one worker: some cost a hundred times others."""
+        return float(cost[self.left].sum() / self.seconds)
 
 
 def workers(views: Candidates, size: tuple[int, int], folder: Path) -> None:
     """Prints the second part."""
-    common: dict[str, Any] = {"size": size}
 
-    def run(name: str, **more: Any) -> Callable[[Callable[[int, int], None]], object]:
-        return lambda told: measure_field(
-            str(SCENE), views, folder / f"{name}.zarr", on_view=told, **common, **more
+    def run(name: str, count: int, **more: Any) -> Timed:
+        store = folder / f"{name}.zarr"
+        return timed(
+            store,
+            lambda told: measure_field(str(SCENE), views, store, on_view=told, size=size, **more),
+            count,
         )
 
     threads = dr.thread_count()
     dr.set_thread_count(1)
-    one = timed(run("one"), 1)
+    found = [run("one", 1)]
     dr.set_thread_count(threads)
-    two = timed(run("two", workers=2), 2)
+    found.append(run("two", 2, workers=2))
     with cluster(folder, 2) as address:
         time.sleep(5.0)
-        dask = timed(run("dask", scheduler=address), 2)
+        found.append(run("dask", 2, scheduler=address))
     stores = [open_field(folder / f"{name}.zarr").dataset for name in ("one", "two", "dask")]
     same = all(
         stores[0][name].values.tobytes() == other[name].values.tobytes()
@@ -176,9 +196,12 @@ def workers(views: Candidates, size: tuple[int, int], folder: Path) -> None:
         for name in stores[0].data_vars
         if name != "seconds"
     )
+    cost = stores[0]["seconds"].values
+    one, two, dask = (each.rate(cost) for each in found)
     _print(
         {
-            "one worker, of one thread [views/s]": round(one, 3),
+            "views, seconds of one worker": f"{len(views)}, {cost.sum():.0f}",
+            "work per second by one, two, Dask": [round(each, 3) for each in (one, two, dask)],
             "two / one": round(two / one, 3),
             "local Dask cluster of two / two": round(dask / two, 3),
             "all the same, bit for bit": same,
