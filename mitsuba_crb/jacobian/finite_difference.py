@@ -3,10 +3,11 @@
     dI/dξ_i ≈ [I(world_from_camera·exp(h_i e_i)) − I(world_from_camera·exp(−h_i e_i))] / (2 h_i)
 
 Both renders use the same random numbers, so their noise cancels where the image is smooth; film offsets are
-Sobol' points, which resolve edges with far fewer paths than independent ones. The step h_i is
-given in pixels of image motion (a fraction of the reconstruction filter, which is what smooths the image in
-the pose: `step_for`), for translation at the near end of what is visible, and at most 0.05 length scales. The
-bias is h²/6 times a third derivative; of an edge it is the filter's, averaged over the step (`edge_bias`).
+Sobol' points, which resolve edges with far fewer paths than independent ones. The step h_i is given in pixels
+of image motion (a fraction of the reconstruction filter, which is what smooths the image in the pose:
+`step_for`): of a turn where the film moves fastest, of translation at the near end of what is visible and at
+most 0.05 length scales, and of edges that the near or the far plane cuts. The bias is h²/6 times a third
+derivative; of an edge it is the filter's, averaged over the step (`edge_bias`).
 Almost assumption-free, at the price of twelve renders.
 Source: design section 4.3.
 """
@@ -24,9 +25,11 @@ from numpy.typing import NDArray
 from .. import se3
 from ..errors import BlindSpotWarning
 from ..render.pixels import render_pixels
+from .clip_planes import cut_speeds
 from .method import AtOnce, Estimates, Paths, Seen, Stepping
 
 if TYPE_CHECKING:
+    from ..camera import Camera
     from ..render.film import PixelFilter
     from ..render.view import View
     from .film_flow import FilmFlow
@@ -35,24 +38,46 @@ STEP_PIXELS = 0.15
 """Image motion of the longest step that is chosen for a filter [pixel]."""
 NEAR_PERCENTILE = 5.0
 """Percentile of the visible depth at which a translation step moves the image by that much."""
+_PLACES = 9
+"""Along each side of the film, at which its motion is looked at."""
 BIAS = 0.02
 """Relative error of an edge's information that a step chosen for a filter may have."""
 
 
 def steps_of(
-    view: Seen, step_pixels: float = STEP_PIXELS, depth: NDArray[np.float64] | None = None
+    view: Seen,
+    step_pixels: float = STEP_PIXELS,
+    depth: NDArray[np.float64] | None = None,
+    cuts: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
     """(6,) the steps that move the image by `step_pixels`, translation [scene unit] then rotation [rad].
 
     Args:
         depth: (n,) of what is to move by that much; by default of all that is visible [scene unit].
+        cuts: (n, 6) film motion of edges that a clip plane makes, see `clip_planes.cut_speeds`.
     """
     angle = view.camera.angles(step_pixels)
     visible = view.visible_depth
     median = np.median(visible) if visible.size else 1.0
     seen = visible if depth is None or not depth.size else depth
     near = np.percentile(seen, NEAR_PERCENTILE) if seen.size else 1.0
-    return np.concatenate([np.minimum(angle * near, 0.05 * median), angle])
+    steps = np.concatenate([np.minimum(angle * near, 0.05 * median), angle / _turning(view.camera)])
+    if cuts is None or not len(cuts):
+        return steps
+    fast = np.percentile(cuts, 100.0 - NEAR_PERCENTILE, axis=0)
+    return np.asarray(np.minimum(steps, step_pixels / np.maximum(fast, np.finfo(float).tiny)))
+
+
+def _turning(camera: Camera) -> NDArray[np.float64]:
+    """(3,) how many times as fast pitch, yaw and roll move the film's fastest point as `angles` has it.
+
+    At the corners of a film about the principal point a roll moves it √3 times as fast as on the average.
+    """
+    x, y = (np.linspace(0.0, side, _PLACES) for side in camera.size)
+    film = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    turn = camera.flow(camera.directions(film))[:, :, 3:]
+    fastest = np.linalg.norm(turn, axis=1).max(axis=0) * camera.angles(1.0)
+    return np.asarray(np.maximum(fastest / [1.0, 1.0, np.sqrt(3.0)], 1.0))
 
 
 def edge_bias(pixel_filter: PixelFilter, step_pixels: float) -> float:
@@ -105,6 +130,8 @@ class FiniteDifference:
     view: View
     step_pixels: float
     """Image motion of a step [pixel]."""
+    steps: NDArray[np.float64]
+    """(6,) [scene unit, rad]."""
 
     @classmethod
     def open(
@@ -122,7 +149,8 @@ class FiniteDifference:
             BlindSpotWarning: a step takes the camera through something that is seen.
         """
         step_pixels = step_for(view.pixel_filter) if step_pixels is None else step_pixels
-        step = float(steps_of(view, step_pixels)[:3].max())
+        steps = steps_of(view, step_pixels, cuts=cut_speeds(view))
+        step = float(steps[:3].max())
         nearest = float(view.visible_depth.min(initial=np.inf))
         if nearest <= step:
             warnings.warn(
@@ -131,7 +159,7 @@ class FiniteDifference:
                 BlindSpotWarning,
                 stacklevel=2,
             )
-        return cls(view, step_pixels)
+        return cls(view, step_pixels, steps)
 
     @classmethod
     def stepping(cls, view: View) -> Stepping:
@@ -152,7 +180,7 @@ class FiniteDifference:
         """Six columns, and the mean of the twelve renders."""
         values = np.empty((paths.batches, len(pixels), 3, 6))
         image = np.zeros((paths.batches, len(pixels), 3))
-        for axis, step in enumerate(steps_of(self.view, self.step_pixels)):
+        for axis, step in enumerate(self.steps):
             values[..., axis], mean = column(self.view, pixels, axis, step, paths)
             image += mean / 6.0
         bias = edge_bias(self.view.pixel_filter, self.step_pixels)

@@ -40,6 +40,7 @@ from ..render.random import EVEN, EvenNumbers, derived_seed, lane_sampler, seedi
 from ..render.rays import Lanes, camera_ray, first_hits, opaque_transform
 from ..render.recorded import join, split
 from . import finite_difference
+from .clip_planes import cut_speeds
 from .closure import BATCHES, PATHS, FilmBlocks, breaches, matters, suspects
 from .contours import Contours, ParallaxTerm, find_contours
 from .depth_pilot import DepthPilot
@@ -175,6 +176,10 @@ class Flow:
         return finite_difference.step_for(self.view.pixel_filter)
 
     @functools.cached_property
+    def _cut_speeds(self) -> NDArray[np.float64]:
+        return cut_speeds(self.view)
+
+    @functools.cached_property
     def step_bias(self) -> float:
         """Relative error that their step may leave in the information of finite differences."""
         return finite_difference.edge_bias(self.view.pixel_filter, self._step_pixels)
@@ -182,7 +187,8 @@ class Flow:
     def differences(self, pixels: NDArray[np.int64], count: int, paths: Paths) -> NDArray[np.float64]:
         """(batches, n, 3, count) the first columns at pixels (n, 2) by finite differences."""
         depth = first_hits(self.view, pixels)[1]
-        steps = finite_difference.steps_of(self.view, self._step_pixels, depth[np.isfinite(depth)])
+        cuts = self._cut_speeds if count == 6 else None
+        steps = finite_difference.steps_of(self.view, self._step_pixels, depth[np.isfinite(depth)], cuts)
         columns = [
             finite_difference.column(self.view, pixels, axis, step, paths)[0]
             for axis, step in enumerate(steps[:count])

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PrecisionError
-from ..render.arrays import upload, widened
 from ..render.rays import camera_ray, coarse_grid, first_hits, move_ray, opaque_transform
+from .clip_planes import cuts_by_far_plane, cuts_by_near_plane
 from .finite_difference import steps_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
     import mitsuba as mi
 
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from .method import Seen
 
 _GRID = 64
-_FAR = 100.0
-"""Depth over the median visible depth."""
 _LIGHT_SAMPLES = 8
 _NOTICED, _USELESS = 0.01, 0.1
 """Spacing of positions over the finite-difference step that is warned of, and that is refused."""
@@ -63,100 +61,16 @@ def precision_findings(view: Seen) -> list[str]:
 
 def cut_surfaces(view: View, method: str) -> Iterator[str]:
     """That the near or the far plane cuts what is in view, for a method that follows surfaces only."""
-    for name, clip, setting, is_cut in (
-        ("near", view.near_clip, "lower near_clip", is_cut_by_near_plane),
-        ("far", view.far_clip, "raise far_clip", is_cut_by_far_plane),
+    for name, clip, setting, cuts in (
+        ("near", view.near_clip, "lower near_clip", cuts_by_near_plane),
+        ("far", view.far_clip, "raise far_clip", cuts_by_far_plane),
     ):
-        if is_cut(view):
+        if len(cuts(view)):
             yield (
                 f"the {name} plane at {clip:g} cuts surfaces in view, and method {method!r} misses that "
                 f"the cut moves with the camera: any direction may be wrong; {setting} or use "
                 "finite_difference"
             )
-
-
-def is_cut_by_near_plane(view: View) -> bool:
-    """Whether a surface crosses the near plane in view: neighbours, one blocked before it, one seen at it."""
-    return _is_cut(view, _before_near, lambda depth: depth < 1.02 * view.near_clip)
-
-
-def is_cut_by_far_plane(view: View) -> bool:
-    """Whether a surface crosses the far plane in view: neighbours, one seen beyond it, one seen at it.
-
-    A cut `_FAR` times as far as what is visible moves as the horizon does, and tells no more than that.
-    """
-    depth = view.visible_depth
-    if not depth.size or view.far_clip > _FAR * np.median(depth):
-        return False
-    return _is_cut(view, _beyond_far, lambda depth: (depth > 0.98 * view.far_clip) & np.isfinite(depth))
-
-
-def _is_cut(
-    view: View,
-    probe: Callable[[View, NDArray[np.float64]], tuple[NDArray[np.bool_], NDArray[np.float64]]],
-    at_plane: Callable[[NDArray[np.float64]], NDArray[np.bool_]],
-) -> bool:
-    """Whether film points between neighbours that a plane cuts off and does not see a surface at the plane.
-
-    Args:
-        probe: which film points (n, 2) [pixel] see something that is cut off, and the depth of what they see.
-    """
-    grid = np.asarray(coarse_grid(view.size, _GRID) + 0.5, dtype=np.float64)
-    off = probe(view, grid.reshape(-1, 2))[0].reshape(grid.shape[:2])
-    if off.all() or not off.any():
-        return False
-    across, down = off[:, :-1] != off[:, 1:], off[:-1] != off[1:]
-    low = widened(np.concatenate([grid[:, :-1][across], grid[:-1][down]]))
-    high = widened(np.concatenate([grid[:, 1:][across], grid[1:][down]]))
-    first = probe(view, low)[0]
-    for _ in range(12):
-        middle = 0.5 * (low + high)
-        same = (probe(view, middle)[0] == first)[:, None]
-        low, high = np.where(same, middle, low), np.where(same, high, middle)
-    return bool(np.any(at_plane(probe(view, low)[1]) | at_plane(probe(view, high)[1])))
-
-
-def _before_near(view: View, film: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Whether anything lies before the near plane at film points (n, 2) [pixel], and the depth behind it."""
-    ray, transform, depth = _depth(view, film)
-    return meets_before_near(view, ray, transform), np.array(depth, dtype=np.float64)
-
-
-def _beyond_far(view: View, film: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Whether film points (n, 2) [pixel] see something beyond the far plane only, and the depth before it."""
-    ray, transform, found = _depth(view, film)
-    depth = np.array(found, dtype=np.float64)
-    return meets_anything(view, ray, transform) & ~np.isfinite(depth), depth
-
-
-def meets_before_near(view: View, ray: mi.Ray3f, transform: mi.Transform4f) -> NDArray[np.bool_]:
-    """(n,) whether camera rays of the camera's frame would meet anything before the near plane."""
-    import mitsuba as mi
-
-    to_lens = ray.o.z / ray.d.z
-    before = mi.Ray3f(mi.Point3f(ray.o - to_lens * ray.d), ray.d, to_lens, 0.0, ray.wavelengths)
-    return np.array(view.scene.ray_test(move_ray(before, transform)), dtype=bool)
-
-
-def meets_anything(view: View, ray: mi.Ray3f, transform: mi.Transform4f) -> NDArray[np.bool_]:
-    """(n,) whether camera rays of the camera's frame would meet anything if no far plane ended them."""
-    import drjit as dr
-    import mitsuba as mi
-
-    whole = mi.Ray3f(ray.o, ray.d, dr.largest(mi.Float), 0.0, ray.wavelengths)
-    return np.array(view.scene.ray_test(move_ray(whole, transform)), dtype=bool)
-
-
-def _depth(view: View, film: NDArray[np.float64]) -> tuple[mi.Ray3f, mi.Transform4f, mi.Float]:
-    """Rays through film points (n, 2) [pixel], the pose, and the depth of what they see, inf for nothing."""
-    import drjit as dr
-    import mitsuba as mi
-
-    x, y = (upload(mi.Float, coordinate) for coordinate in film.T)
-    ray, _ = camera_ray(view, mi.Point2f(x, y), mi.Point2f(0.5, 0.5))
-    transform = opaque_transform(view.pose)
-    hit = view.scene.ray_intersect_preliminary(move_ray(ray, transform))
-    return ray, transform, dr.select(hit.is_valid(), dr.fma(hit.t, ray.d.z, ray.o.z), dr.inf)
 
 
 def discontinuities(view: View) -> list[str]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..render.arrays import upload, widened
 from ..render.paths import IntegratorTracer, Tracer, White
 from ..render.rays import camera_ray, opaque_transform
-from . import lint
+from .clip_planes import cuts_by_far_plane, cuts_by_near_plane, meets_anything, meets_before_near
 from .silhouettes import first_seen
 from .surfaces import has_contours, surface_key, surfaces
 
@@ -74,8 +74,8 @@ class Unfollowed:
             view,
             found,
             volumes and view.sensor.get_medium() is not None,
-            lint.is_cut_by_near_plane(view),
-            lint.is_cut_by_far_plane(view),
+            len(cuts_by_near_plane(view)) > 0,
+            len(cuts_by_far_plane(view)) > 0,
         )
 
     def causes(self, pixels: Ints, blocks: FilmBlocks) -> NDArray[np.object_]:
@@ -109,7 +109,7 @@ class Unfollowed:
             own = [key for key, its in self.shapes.items() if its == cause]
             found.append((cause, np.isin(keys[0], own) | np.isin(keys[1], own)))
         if self.far:
-            found.append((FAR, (shape == 0) & lint.meets_anything(self.view, ray, transform)))
+            found.append((FAR, (shape == 0) & meets_anything(self.view, ray, transform)))
         if self.near:
-            found.append((NEAR, lint.meets_before_near(self.view, ray, transform)))
+            found.append((NEAR, meets_before_near(self.view, ray, transform)))
         return found
