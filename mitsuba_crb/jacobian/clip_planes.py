@@ -63,7 +63,7 @@ def cuts_by_far_plane(view: View) -> Floats:
     A cut `_FAR` times as far as what is visible moves as the horizon does, and tells no more than that.
     """
     depth = view.visible_depth
-    if not depth.size or view.far_clip > _FAR * np.median(depth):
+    if depth.size and view.far_clip > _FAR * np.median(depth):
         return np.empty((0, 2))
     return _cuts(view, _beyond_far, lambda depth: (depth > 0.98 * view.far_clip) & np.isfinite(depth))
 
@@ -78,7 +78,9 @@ def _cuts(
     Args:
         probe: which film points (n, 2) [pixel] see something that is cut off, and the depth of what they see.
     """
-    grid = np.asarray(coarse_grid(view.size, _GRID) + 0.5, dtype=np.float64)
+    # As far beyond the film as pixels at its border reach.
+    size, radius = np.array(view.size), view.pixel_filter.radius
+    grid = (coarse_grid(view.size, _GRID) + 0.5) * (1.0 + 2.0 * radius / size) - radius
     off = probe(view, grid.reshape(-1, 2))[0].reshape(grid.shape[:2])
     if off.all() or not off.any():
         return np.empty((0, 2))

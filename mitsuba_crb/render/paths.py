@@ -251,7 +251,8 @@ def _scatter(
         value,
         dr.select(lit, emitted * heuristic, 0.0),
         sample.wo,
-        dr.select(active, weight, 0.0),
+        # NaN of a blend of one-sided materials, seen from behind, and of what nobody can sample.
+        dr.select(active & (sample.pdf > 0.0), weight, 0.0),
         sample.pdf,
         mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta),
         sample.eta,

@@ -13,10 +13,12 @@ from matrices import misfit
 from one_go import measured
 from small_scenes import T, camera
 
+from mitsuba_crb import pose_bound
 from mitsuba_crb.jacobian import pair_sums
 from mitsuba_crb.jacobian.flow import Flow
 from mitsuba_crb.jacobian.pairs import PairSample
 from mitsuba_crb.jacobian.view_term import _turn_of_lobes
+from mitsuba_crb.noise import Gaussian
 from mitsuba_crb.render import paths
 from mitsuba_crb.render.random import lane_sampler, seeding
 from mitsuba_crb.render.view import open_view
@@ -128,3 +130,19 @@ def test_a_lamp_flush_with_a_wall_gives_no_nan_and_what_one_just_below_gives() -
         total = columns.sum(axis=0).reshape(-1, 6)
         found.append(total.T @ total - sum(b.T @ b for b in columns.reshape(4, -1, 6)))
     assert misfit(*found) < 0.05
+
+
+@pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")
+def test_a_blend_of_one_sided_materials_seen_from_behind_gives_no_nan() -> None:
+    """Mitsuba samples its conductor there with weight and density NaN, and goes on nowhere."""
+    conductor = {"type": "roughconductor", "alpha": 0.3}
+    blend = {"type": "blendbsdf", "weight": 0.5, "a": {"type": "diffuse"}, "b": conductor}
+    pipe = T().translate([0.1, -0.3, 2.0]).rotate([1, 1, 0], 35).scale([0.4, 0.4, 0.6])
+    world = {
+        "type": "scene",
+        "sensor": camera(16, 12),
+        "pipe": {"type": "cylinder", "to_world": pipe, "bsdf": blend},
+        "lamp": {"type": "point", "position": [0.5, 1.0, 0.0], "intensity": {"type": "rgb", "value": 5.0}},
+    }
+    bound = pose_bound(world, Gaussian(0.01), spp=64)
+    assert np.isfinite(bound.information.matrix).all()

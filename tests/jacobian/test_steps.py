@@ -27,10 +27,10 @@ def camera(fov: float, **more: Any) -> dict[str, Any]:
     return {"type": "perspective", "fov": fov, "film": film, "to_world": towards, **more}
 
 
-def tilted(degrees: float, clip: str) -> dict[str, Any]:
-    """A shining wall through (0, 0, 3), turned about y; the near or the far plane cuts it upright there."""
+def tilted(degrees: float, clip: str, x: float = 0.02) -> dict[str, Any]:
+    """A shining wall through (x, 0, 3), turned about y; the near or the far plane cuts it upright there."""
     glow = {"type": "area", "radiance": {"type": "rgb", "value": 1.0}}
-    place = T().translate([0.02, 0.0, 3.0]).rotate([0, 1, 0], 180 + degrees).scale([20.0, 20.0, 1.0])
+    place = T().translate([x, 0.0, 3.0]).rotate([0, 1, 0], 180 + degrees).scale([20.0, 20.0, 1.0])
     wall = {"type": "rectangle", "to_world": place, "emitter": glow}
     return {"type": "scene", "sensor": camera(30.0, **{clip: 3.0}), "wall": wall}
 
@@ -46,6 +46,14 @@ def test_a_cut_moves_as_steeply_as_its_wall_faces_the_camera(method: str, clip: 
     assert F[2, 2] / F[0, 0] == pytest.approx(steep**2, rel=0.05)
     # A yaw moves it by (−z, 0, x) at (x, ·, z) = (0.02, ·, 3).
     assert F[4, 4] / F[0, 0] == pytest.approx((3.0 - 0.02 * steep) ** 2, rel=0.05)
+
+
+@pytest.mark.filterwarnings("ignore:nothing is visible")
+@pytest.mark.parametrize("x", [-0.85, 0.85])
+def test_a_cut_just_beyond_the_film_is_found_as_far_as_filters_reach(x: float) -> None:
+    """0.7 pixels beyond it: no pixel's middle sees the cut, and all of the information is its own."""
+    F = pose_bound(tilted(8.0, "far_clip", x), SIGMA, spp=2048).information.matrix
+    assert F[2, 2] / F[0, 0] == pytest.approx(1.0 / np.tan(np.radians(8.0)) ** 2, rel=0.15)
 
 
 def test_the_same_by_the_steps_of_what_is_seen_is_far_too_little(monkeypatch: pytest.MonkeyPatch) -> None:
