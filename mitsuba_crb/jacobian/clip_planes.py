@@ -63,9 +63,18 @@ def cuts_by_far_plane(view: View) -> Floats:
     A cut `_FAR` times as far as what is visible moves as the horizon does, and tells no more than that.
     """
     depth = view.visible_depth
-    if depth.size and view.far_clip > _FAR * np.median(depth):
+    if view.far_clip > (_FAR * np.median(depth) if depth.size else _farthest(view)):
         return np.empty((0, 2))
     return _cuts(view, _beyond_far, lambda depth: (depth > 0.98 * view.far_clip) & np.isfinite(depth))
+
+
+def _farthest(view: View) -> float:
+    """Depth of the farthest corner of what there is."""
+    box = view.scene.bbox()
+    if not box.valid():
+        return 0.0
+    corners = np.array([[float(x) for x in box.corner(k)] for k in range(8)])
+    return float(((corners - view.pose[:3, 3]) @ view.pose[:3, 2]).max())
 
 
 def _cuts(

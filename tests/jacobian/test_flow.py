@@ -513,7 +513,7 @@ def test_principal_point_and_crop_window_are_those_of_finite_differences() -> No
     }
     flowing, differences = (
         pose_bound(scene(sensor=cropped, **which), Gaussian(0.1), method=method, spp=spp).information
-        for method, spp in (("flow", 256), ("finite_difference", 1024))
+        for method, spp in (("flow", 256), ("finite_difference", 4096))
     )
     plain = pose_bound(scene(sensor=camera(24, 15), **which), Gaussian(0.1), spp=256).information
     error = np.hypot(*(np.diagonal(F.standard_error) for F in (flowing, differences)))
