@@ -502,6 +502,7 @@ def test_tiles_change_nothing_and_calls_repeat_bit_for_bit_with_contours(scenes:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::mitsuba_crb.errors.PrecisionWarning")
 def test_principal_point_and_crop_window_are_those_of_finite_differences() -> None:
     """Of a textured wall behind a box, within 4 standard errors; the plain film's information is another."""
     sensor = camera(48, 36) | {"principal_point_offset_x": 0.15, "principal_point_offset_y": -0.1}
