@@ -20,6 +20,7 @@ Source: Kay, "Fundamentals of Statistical Signal Processing", vol. I, 1993, sect
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -149,7 +150,7 @@ class JointInformation(Linearised):
         """(6 + m, 6) G, see above, of what is unknown."""
         return self._elimination[0]
 
-    @property
+    @functools.cached_property
     def _elimination(self) -> tuple[Array, Directions]:
         unknown = [6 + k for k, name in enumerate(self.parameters) if name in self._unknown]
         return _eliminate(self._unknown_sums, unknown)
@@ -190,6 +191,8 @@ class JointInformation(Linearised):
     def _treat(self, names: tuple[str, ...], how: Literal["marginalized", "fixed"]) -> JointInformation:
         self._check(names)
         chosen = names or [name for name in self.names if name not in self.treatment]
+        if not chosen:
+            return self
         return dataclass_replace(self, treatment={**self.treatment, **dict.fromkeys(chosen, how)})
 
     def _check(self, names: tuple[str, ...]) -> None:

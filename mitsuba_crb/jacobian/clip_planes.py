@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..render.arrays import upload, widened
-from ..render.rays import camera_ray, coarse_grid, move_ray, opaque_transform
+from ..render.arrays import widened
+from ..render.rays import coarse_grid, film_rays, move_ray
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,12 +34,12 @@ _FACING = 1.0 / 32.0
 """Least |n_xy| of a unit normal that a speed is told of."""
 
 
-def cut_speeds(view: View) -> Floats:
+def cut_speeds(view: View, film: Floats) -> Floats:
     """(n, 6) film motion of cuts' edges by each twist component [pixel / scene unit, pixel / rad].
 
-    Where a plane cuts what is seen along a coarse grid of pixels; none if nothing is cut.
+    Args:
+        film: (n, 2) where planes cut what is seen, from `cuts_by_near_plane` and `cuts_by_far_plane`.
     """
-    film = np.concatenate([cuts_by_near_plane(view), cuts_by_far_plane(view)])
     if not len(film):
         return np.empty((0, 6))
     valid, normal, depth = _surface(view, film)
@@ -106,13 +106,13 @@ def _cuts(
 
 def _before_near(view: View, film: Floats) -> tuple[Bools, Floats]:
     """Whether anything lies before the near plane at film points (n, 2) [pixel], and the depth behind it."""
-    ray, transform = _rays(view, film)
+    ray, transform = film_rays(view, film)
     return meets_before_near(view, ray, transform), _depth(view, ray, transform)
 
 
 def _beyond_far(view: View, film: Floats) -> tuple[Bools, Floats]:
     """Whether film points (n, 2) [pixel] see something beyond the far plane only, and the depth before it."""
-    ray, transform = _rays(view, film)
+    ray, transform = film_rays(view, film)
     depth = _depth(view, ray, transform)
     return meets_anything(view, ray, transform) & ~np.isfinite(depth), depth
 
@@ -135,15 +135,6 @@ def meets_anything(view: View, ray: mi.Ray3f, transform: mi.Transform4f) -> Bool
     return np.array(view.scene.ray_test(move_ray(whole, transform)), dtype=bool)
 
 
-def _rays(view: View, film: Floats) -> tuple[mi.Ray3f, mi.Transform4f]:
-    """Rays through film points (n, 2) [pixel], and the pose."""
-    import mitsuba as mi
-
-    x, y = (upload(mi.Float, coordinate) for coordinate in film.T)
-    ray, _ = camera_ray(view, mi.Point2f(x, y), mi.Point2f(0.5, 0.5))
-    return ray, opaque_transform(view.pose)
-
-
 def _depth(view: View, ray: mi.Ray3f, transform: mi.Transform4f) -> Floats:
     """(n,) of what they see, inf for nothing."""
     import drjit as dr
@@ -155,7 +146,7 @@ def _depth(view: View, ray: mi.Ray3f, transform: mi.Transform4f) -> Floats:
 def _surface(view: View, film: Floats) -> tuple[Bools, Floats, Floats]:
     """Whether film points (n, 2) [pixel] see a surface; its normal (n, 3), camera frame, and depth."""
     count, film = len(film), widened(film)
-    ray, transform = _rays(view, film)
+    ray, transform = film_rays(view, film)
     hit: Any = view.scene.ray_intersect(move_ray(ray, transform))
     valid = np.array(hit.is_valid(), dtype=bool)[:count]
     normal = np.array(hit.n, dtype=np.float64).T[:count] @ view.pose[:3, :3]

@@ -28,6 +28,7 @@ _PIECE = 16.0
 _BOW_PIECE = 8.0
 """Longest piece, about, that a conic is cut into [pixel]."""
 _HALVINGS = 64
+"""Of one that is longer, at most: beyond them float64 has no middle."""
 
 
 EDGE, TANGENT, CIRCLE, RIM = range(4)
@@ -363,16 +364,17 @@ def _cut_bows(bows: Curves, camera: Camera, frame: Floats) -> Curves:
     box, length = bounds(trial, camera)
     longest = np.where(_overlap(box, frame), length, 0.0).reshape(-1, 64).max(axis=1, initial=0.0)
     pieces = _divide(bows, np.clip(np.ceil(64.0 * longest / _BOW_PIECE), 16.0, 4096.0).astype(np.int64))
+    found: list[Curves] = []
     for _ in range(_HALVINGS):
         box, length = bounds(pieces, camera)
-        held = _overlap(box, frame)
-        long = held & (length > 2.0 * _BOW_PIECE)
-        if not long.any():
-            break
+        held, long = _overlap(box, frame), length > 2.0 * _BOW_PIECE
+        found.append(pieces.part(np.flatnonzero(held & ~long)))
         # Those that run to the near plane, whose rectangle is the whole film and far more.
-        halves = _divide(pieces.part(np.flatnonzero(long)), np.full(np.count_nonzero(long), 2))
-        pieces = Curves.join([pieces.part(np.flatnonzero(held & ~long)), halves])
-    return pieces.part(np.flatnonzero(_overlap(bounds(pieces, camera)[0], frame)))
+        rest = np.flatnonzero(held & long)
+        pieces = _divide(pieces.part(rest), np.full(len(rest), 2))
+        if not len(rest):
+            break
+    return Curves.join([*found, pieces])
 
 
 def _divide(curves: Curves, count: Ints) -> Curves:

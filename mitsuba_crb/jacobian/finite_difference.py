@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from .. import se3
 from ..errors import BlindSpotWarning
 from ..render.pixels import render_pixels
-from .clip_planes import cut_speeds
+from .clip_planes import cut_speeds, cuts_by_far_plane, cuts_by_near_plane
 from .method import AtOnce, Estimates, Paths, Seen, Stepping
 
 if TYPE_CHECKING:
@@ -149,7 +149,8 @@ class FiniteDifference:
             BlindSpotWarning: a step takes the camera through something that is seen.
         """
         step_pixels = step_for(view.pixel_filter) if step_pixels is None else step_pixels
-        steps = steps_of(view, step_pixels, cuts=cut_speeds(view))
+        cuts = np.concatenate([cuts_by_near_plane(view), cuts_by_far_plane(view)])
+        steps = steps_of(view, step_pixels, cuts=cut_speeds(view, cuts))
         step = float(steps[:3].max())
         nearest = float(view.visible_depth.min(initial=np.inf))
         if nearest <= step:

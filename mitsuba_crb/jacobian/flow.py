@@ -177,7 +177,7 @@ class Flow:
 
     @functools.cached_property
     def _cut_speeds(self) -> NDArray[np.float64]:
-        return cut_speeds(self.view)
+        return cut_speeds(self.view, np.concatenate([self.unfollowed.near, self.unfollowed.far]))
 
     @functools.cached_property
     def step_bias(self) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PrecisionError
-from ..render.rays import camera_ray, coarse_grid, first_hits, move_ray, opaque_transform
+from ..render.rays import coarse_grid, film_rays, first_hits, move_ray
 from .clip_planes import cuts_by_far_plane, cuts_by_near_plane
 from .finite_difference import steps_of
 
@@ -169,11 +169,7 @@ def _gap_remains(view: View, left: NDArray[np.float64], right: NDArray[np.float6
 
 def _surface(view: View, film: NDArray[np.float64]) -> NDArray[np.float64]:
     """First surface points (n, 3) through film points (n, 2) [pixel], in the world."""
-    import mitsuba as mi
-
-    x, y = film.astype(np.float32).T
-    ray, _ = camera_ray(view, mi.Point2f(x, y), mi.Point2f(0.5, 0.5))
-    hit = view.scene.ray_intersect(move_ray(ray, opaque_transform(view.pose)))
+    hit: Any = view.scene.ray_intersect(move_ray(*film_rays(view, film)))
     return np.array(hit.p, dtype=np.float64).T
 
 

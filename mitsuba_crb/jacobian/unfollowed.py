@@ -54,10 +54,10 @@ class Unfollowed:
     """Causes by the shape's key, see `surfaces.Surface`."""
     everywhere: bool
     """Whether the camera stands in a medium that the integrator sees."""
-    near: bool
-    """Whether the near plane cuts something."""
-    far: bool
-    """Whether the far plane does."""
+    near: NDArray[np.float64]
+    """(n, 2) film points where the near plane cuts something [pixel]."""
+    far: NDArray[np.float64]
+    """(n, 2) those where the far plane does."""
 
     @staticmethod
     def of(view: View, tracer: Tracer | White) -> Unfollowed:
@@ -74,8 +74,8 @@ class Unfollowed:
             view,
             found,
             volumes and view.sensor.get_medium() is not None,
-            len(cuts_by_near_plane(view)) > 0,
-            len(cuts_by_far_plane(view)) > 0,
+            cuts_by_near_plane(view),
+            cuts_by_far_plane(view),
         )
 
     def causes(self, pixels: Ints, blocks: FilmBlocks) -> NDArray[np.object_]:
@@ -85,7 +85,7 @@ class Unfollowed:
             pixels: (n, 2) of the blocks.
         """
         found = np.full(len(blocks.number), MEDIA if self.everywhere else "", dtype=object)
-        if self.everywhere or not (self.shapes or self.near or self.far):
+        if self.everywhere or not (self.shapes or len(self.near) or len(self.far)):
             return found
         for offset, lens in zip(_OFFSETS * self.view.pixel_filter.radius, 0.5 + 0.35 * _OFFSETS, strict=True):
             film = widened(pixels + 0.5 + offset)
@@ -108,8 +108,8 @@ class Unfollowed:
         for cause in sorted(set(self.shapes.values())):
             own = [key for key, its in self.shapes.items() if its == cause]
             found.append((cause, np.isin(keys[0], own) | np.isin(keys[1], own)))
-        if self.far:
+        if len(self.far):
             found.append((FAR, (shape == 0) & meets_anything(self.view, ray, transform)))
-        if self.near:
+        if len(self.near):
             found.append((NEAR, meets_before_near(self.view, ray, transform)))
         return found

@@ -162,8 +162,8 @@ class Rounds:
         bound = self._bound(found.joint)
         needs, hidden = self._needs(found, bound)
         spp = allocate(needs, self._least, left)
-        infers = bound.rank < 6 or len(found.joint.parameters) > 0
-        if infers and any(each.hidden for each in self.done):
+        may_hide = bound.rank < 6 or found.joint.parameters
+        if may_hide and any(each.hidden for each in self.done):
             # What it took to come out of the noise: with less, the answer would not say what is known.
             enough = np.maximum(spp, _AGAIN * plan.spp)
             spp = enough if self._cost(enough) <= left else self._in_between(needs, left)

@@ -108,6 +108,15 @@ def coarse_grid(size: tuple[int, int], most: int) -> NDArray[np.int64]:
     return np.stack(np.meshgrid(columns, rows), axis=-1)
 
 
+def film_rays(view: View, film: NDArray[np.float64]) -> tuple[mi.Ray3f, mi.Transform4f]:
+    """Rays through film points (n, 2) [pixel] from the middle of the lens, camera frame, and the pose."""
+    import mitsuba as mi
+
+    x, y = (upload(mi.Float, coordinate) for coordinate in film.T)
+    ray, _ = camera_ray(view, mi.Point2f(x, y), mi.Point2f(0.5, 0.5))
+    return ray, opaque_transform(view.pose)
+
+
 def first_hits(view: View, pixels: NDArray[np.int64]) -> tuple[mi.SurfaceInteraction3f, NDArray[np.float64]]:
     """First surface through each pixel's centre, and its depth along the optical axis [scene unit]."""
     import mitsuba as mi

@@ -10,7 +10,7 @@ from small_scenes import T, scene
 
 from mitsuba_crb import pose_bound
 from mitsuba_crb.jacobian import finite_difference
-from mitsuba_crb.jacobian.clip_planes import cut_speeds
+from mitsuba_crb.jacobian.clip_planes import cut_speeds, cuts_by_far_plane, cuts_by_near_plane
 from mitsuba_crb.jacobian.finite_difference import steps_of
 from mitsuba_crb.noise import Gaussian
 from mitsuba_crb.render.view import open_view
@@ -57,14 +57,14 @@ def test_a_cut_just_beyond_the_film_is_found_as_far_as_filters_reach(x: float) -
 
 
 def test_the_same_by_the_steps_of_what_is_seen_is_far_too_little(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(finite_difference, "cut_speeds", lambda view: np.empty((0, 6)))
+    monkeypatch.setattr(finite_difference, "cut_speeds", lambda view, film: np.empty((0, 6)))
     F = pose_bound(tilted(8.0, "far_clip"), SIGMA, method="finite_difference", spp=256).information.matrix
     assert F[2, 2] / F[0, 0] < 0.8 / np.tan(np.radians(8.0)) ** 2
 
 
 def test_speeds_of_cuts_are_those_of_the_edge() -> None:
     with open_view(tilted(8.0, "far_clip")) as view:
-        speeds = cut_speeds(view)
+        speeds = cut_speeds(view, cuts_by_far_plane(view))
         focal = view.camera.focal_length
     steep = 1.0 / np.tan(np.radians(8.0))
     assert len(speeds) > 10
@@ -72,7 +72,8 @@ def test_speeds_of_cuts_are_those_of_the_edge() -> None:
         np.median(speeds[:, :3], axis=0), [focal / 3, 0.0, steep * focal / 3], atol=0.1
     )
     with open_view(scene()) as view:
-        assert cut_speeds(view).shape == (0, 6)
+        none = np.concatenate([cuts_by_near_plane(view), cuts_by_far_plane(view)])
+        assert cut_speeds(view, none).shape == (0, 6)
 
 
 @pytest.mark.parametrize("fov", [30.0, 110.0])

@@ -176,6 +176,28 @@ class TestIntrinsics:
         with pytest.raises(NuisanceError, match=r"p1 is .* model opencv, .* is a fisheye"):
             pose_bound(_scene(), SIGMA, spp=64, camera=LENSES["fisheye"], nuisances=("p1",))
 
+    @pytest.mark.slow
+    def test_a_precision_goes_on_until_every_nuisance_is_resolved(self) -> None:
+        """Else the bound is one with it known; negative control: the paths that resolve the six alone."""
+        zero = Intrinsics((24, 16), (29.0, 29.0), (12.0, 8.0), "opencv", (0.0,) * 8)
+        names = ("k1", "k2", "k3")
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", NuisanceWarning)
+            bound = pose_bound(_scene(), SIGMA, camera=zero, nuisances=names)
+            rounds = bound.provenance["sampling"]["rounds"]
+            assert rounds[0]["hidden"] > 6
+            assert rounds[-1]["hidden"] == 0
+        enough = next(each for each in rounds if each["hidden"] <= 3)
+        with pytest.warns(NuisanceWarning, match="not tell what not knowing k. costs"):
+            pose_bound(_scene(), SIGMA, camera=zero, nuisances=names, spp=2 * enough["paths"] // (24 * 16))
+        many = pose_bound(_scene(), SIGMA, camera=zero, nuisances=names, spp=16384, seed=9)
+        for found, truth in zip(
+            (bound.position_std, bound.rotation_std_deg),
+            (many.position_std, many.rotation_std_deg),
+            strict=True,
+        ):
+            np.testing.assert_allclose(found, truth, rtol=0.06)
+
 
 class TestLevels:
     @pytest.mark.parametrize("method", ["finite_difference", "flow"])
@@ -393,25 +415,3 @@ class TestBadNames:
     def test_they_are_named_with_near_ones(self, names: Any, message: str) -> None:
         with pytest.raises(NuisanceError, match=message):
             pose_bound(_scene(), SIGMA, nuisances=names)
-
-    @pytest.mark.slow
-    def test_a_precision_goes_on_until_every_nuisance_is_resolved(self) -> None:
-        """Else the bound is one with it known; negative control: the paths that resolve the six alone."""
-        zero = Intrinsics((24, 16), (29.0, 29.0), (12.0, 8.0), "opencv", (0.0,) * 8)
-        names = ("k1", "k2", "k3")
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", NuisanceWarning)
-            bound = pose_bound(_scene(), SIGMA, camera=zero, nuisances=names)
-            rounds = bound.provenance["sampling"]["rounds"]
-            assert rounds[0]["hidden"] > 6
-            assert rounds[-1]["hidden"] == 0
-        enough = next(each for each in rounds if each["hidden"] <= 3)
-        with pytest.warns(NuisanceWarning, match="not tell what not knowing k. costs"):
-            pose_bound(_scene(), SIGMA, camera=zero, nuisances=names, spp=2 * enough["paths"] // (24 * 16))
-        many = pose_bound(_scene(), SIGMA, camera=zero, nuisances=names, spp=16384, seed=9)
-        for found, truth in zip(
-            (bound.position_std, bound.rotation_std_deg),
-            (many.position_std, many.rotation_std_deg),
-            strict=True,
-        ):
-            np.testing.assert_allclose(found, truth, rtol=0.06)
