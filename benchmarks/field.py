@@ -143,22 +143,6 @@ def cluster(folder: Path, workers: int) -> Iterator[str]:
             process.wait()
 
 
-def timed(store: Path, measure: Callable[[Callable[[int, int], None]], object], workers: int) -> Timed:
-    """From when every worker has answered about twice."""
-    told: list[float] = []
-    left = np.zeros(0, dtype=bool)
-
-    def on_view(done: int, _: int) -> None:
-        nonlocal left
-        told.append(time.perf_counter())
-        if len(told) == 2 * workers + 1:
-            left = ~FieldStore(store).done
-            assert left.sum() == len(left) - done
-
-    measure(on_view)
-    return Timed(left, told[-1] - told[2 * workers])
-
-
 class Timed(NamedTuple):
     """The views that were left when the clock began, and how long they took."""
 
@@ -170,25 +154,32 @@ class Timed(NamedTuple):
         return float(cost[self.left].sum() / self.seconds)
 
 
+def timed(views: Candidates, size: tuple[int, int], store: Path, count: int, **options: Any) -> Timed:
+    """From when each of so many workers has answered about twice."""
+    told: list[float] = []
+    left = np.zeros(0, dtype=bool)
+
+    def on_view(done: int, _: int) -> None:
+        nonlocal left
+        told.append(time.perf_counter())
+        if len(told) == 2 * count + 1:
+            left = ~FieldStore(store).done
+            assert left.sum() == len(left) - done
+
+    measure_field(str(SCENE), views, store, size=size, on_view=on_view, **options)
+    return Timed(left, told[-1] - told[2 * count])
+
+
 def workers(views: Candidates, size: tuple[int, int], folder: Path) -> None:
     """Prints the second part."""
-
-    def run(name: str, count: int, **more: Any) -> Timed:
-        store = folder / f"{name}.zarr"
-        return timed(
-            store,
-            lambda told: measure_field(str(SCENE), views, store, on_view=told, size=size, **more),
-            count,
-        )
-
     threads = dr.thread_count()
     dr.set_thread_count(1)
-    found = [run("one", 1)]
+    found = [timed(views, size, folder / "one.zarr", 1)]
     dr.set_thread_count(threads)
-    found.append(run("two", 2, workers=2))
+    found.append(timed(views, size, folder / "two.zarr", 2, workers=2))
     with cluster(folder, 2) as address:
         time.sleep(5.0)
-        found.append(run("dask", 2, scheduler=address))
+        found.append(timed(views, size, folder / "dask.zarr", 2, scheduler=address))
     stores = [open_field(folder / f"{name}.zarr").dataset for name in ("one", "two", "dask")]
     same = all(
         stores[0][name].values.tobytes() == other[name].values.tobytes()

@@ -28,6 +28,7 @@ import tempfile
 import time
 import warnings
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ import numpy as np
 from gallery_scenes import NOT_COVERED, SIZE, Picture, gallery, write
 from rich.console import Console
 
-from mitsuba_crb import load_scene, noise, pose_bound
+from mitsuba_crb import PoseBound, load_scene, noise, pose_bound
 from mitsuba_crb.errors import MitsubaCRBError, SceneWarning
 from mitsuba_crb.information.fisher import FisherInformation
 from mitsuba_crb.jacobian.finite_difference import step_for
@@ -97,6 +98,11 @@ def compared(path: Path, defines: dict[str, str], target: float, seconds: float)
     differences, difference_spp = to_precision(
         scene, "finite_difference", half, seconds, seed=2, noise=model, step_pixels=step
     )
+    return beside(flow, differences) | {"spp": [flow_spp, difference_spp], "step_pixels": step}
+
+
+def beside(flow: PoseBound, differences: PoseBound) -> dict[str, Any]:
+    """Flow's information and finite differences', and whether they agree."""
     value, error = scaled(flow.information)
     other, other_error = scaled(differences.information)
     methods = flow.provenance["finite_differences"]
@@ -105,8 +111,6 @@ def compared(path: Path, defines: dict[str, str], target: float, seconds: float)
         "flow_errors": error.tolist(),
         "finite_difference": other.tolist(),
         "finite_difference_errors": other_error.tolist(),
-        "spp": [flow_spp, difference_spp],
-        "step_pixels": step,
         "by_differences": methods["share"],
         "causes": methods["blocks"],
     }
@@ -134,16 +138,21 @@ def judged(
 def measured(path: Path, which: str | None, target: float, seconds: float) -> dict[str, Any]:
     """What comes of one scene on one film: numbers, or one line."""
     defines = {"width": str(SIZE[0]), "height": str(SIZE[1])} | ({"filter": which} if which else {})
+    result = answered(lambda: compared(path, defines, target, seconds))
+    if "says" in result:
+        result["says"] = result["says"].replace(f"{path}: ", "")
+    return result
+
+
+def answered(compare: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """What a comparison comes to, or why it is refused; what was warned of, and how long it took."""
     start = time.perf_counter()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            result = compared(path, defines, target, seconds)
+            result = compare()
         except MitsubaCRBError as error:
-            result = {
-                "verdict": "refused",
-                "says": f"{type(error).__name__}: {error}".replace(f"{path}: ", ""),
-            }
+            result = {"verdict": "refused", "says": f"{type(error).__name__}: {error}"}
     # What a bound says of its own samples is no verdict on its picture.
     said = list(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, SceneWarning)))
     if result["verdict"] == "differs" and said:

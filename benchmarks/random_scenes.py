@@ -5,27 +5,25 @@
 
 Each has a wall, up to three shapes, instances, a lamp, materials and textures of many kinds, any filter,
 field of view, axis of it, near and far plane, thin or distorting lens, and measures colour, a channel of it,
-depth or both. Diagonals of F are compared in the camera frame in scaled units, entries below 2 % of the
-largest as if they were that large. `differs` is what is 3 % and 4.5 combined standard errors apart; where a
-warning says why, `told`. A difference that more paths do not make smaller is a wrong number of one of the
-two: finite differences with a shorter `--step-pixels` say whose.
+depth or both. They are judged as in `gallery.py`: `differs` is what is 2 % and four combined standard errors
+apart, which of so many entries one in some hundred scenes is by chance. A difference that more paths do not
+make smaller is a wrong number of one of the two: finite differences with a shorter `--step-pixels` say whose.
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
 import tempfile
-import time
-import warnings
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
+from gallery import answered, beside, line
 
 from mitsuba_crb import Intrinsics, pose_bound
-from mitsuba_crb.errors import MitsubaCRBError, SceneWarning
-from mitsuba_crb.information.fisher import FisherInformation
 from mitsuba_crb.noise import Gaussian
 from mitsuba_crb.render.backend import use_mitsuba
 
@@ -37,8 +35,6 @@ T = mi.ScalarTransform4f
 SIGMA = Gaussian(0.02)
 SIZES = ((20, 15), (16, 16), (15, 20))
 BATCHES = 8
-SHARE, ERRORS, LEAST = 0.03, 4.5, 0.02
-AXES = ("x", "y", "z", "pitch", "yaw", "roll")
 FISHEYE = (-0.02, 0.01, -0.004, 0.0005)
 
 
@@ -203,41 +199,17 @@ class Maker:
         return found
 
 
-def scaled(information: FisherInformation) -> tuple[np.ndarray, np.ndarray]:
-    """(6,) diagonal of F in scaled units, and its standard errors."""
-    square = information.scale**2
-    return np.diag(information.matrix) * square, np.diag(information.standard_error) * square
-
-
-def compared(seed: int, spp: int, step: float | None, folder: Path) -> str:
-    """What comes of a seed's scene, in a line."""
+def compared(seed: int, spp: int, step: float | None, folder: Path) -> dict[str, Any]:
+    """Flow and finite differences of a seed's scene."""
     scene, options = Maker(seed, folder).scene()
     noise = None if options.get("measure") == "depth" else SIGMA
     given = {**options, "spp": spp, "batches": BATCHES}
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        try:
-            flow = pose_bound(scene, noise, seed=2 * seed, **given)
-            method = "finite_difference"
-            other = pose_bound(scene, noise, seed=2 * seed + 1, method=method, step_pixels=step, **given)
-        except MitsubaCRBError as error:
-            return f"refused     {error}"
-    (F, errors), (G, others) = (scaled(bound.information) for bound in (flow, other))
-    if not G.max() > 0.0:
-        return "nothing"
-    size = np.maximum(np.abs(G), LEAST * G.max())
-    difference, error = (F - G) / size, np.hypot(errors, others) / size
-    worst = int(np.argmax(np.abs(difference) / np.maximum(SHARE, ERRORS * error)))
-    wrong = abs(difference[worst]) > max(SHARE, ERRORS * error[worst])
-    said = list(dict.fromkeys(str(w.message) for w in caught if issubclass(w.category, SceneWarning)))
-    verdict = ("told" if said else "differs") if wrong else "agrees"
-    share = flow.provenance["finite_differences"]
-    parts = [
-        f"{verdict:11} {AXES[worst]:5} {100 * difference[worst]:+7.2f} ± {100 * error[worst]:.2f} %",
-        f"by differences {share['share']:.0%} {', '.join(share['blocks'])}" if share["blocks"] else "",
-        *said,
-    ]
-    return "; ".join(filter(None, parts))
+    flow = pose_bound(scene, noise, seed=2 * seed, **given)
+    method = "finite_difference"
+    other = pose_bound(scene, noise, seed=2 * seed + 1, method=method, step_pixels=step, **given)
+    if not np.diagonal(other.information.matrix).max() > 0.0:
+        return {"verdict": "nothing", "says": "is seen"}
+    return beside(flow, other)
 
 
 def main() -> None:
@@ -249,14 +221,14 @@ def main() -> None:
     parser.add_argument("--spp", type=int, default=512)
     parser.add_argument("--step-pixels", type=float, default=None, help="of finite differences")
     arguments = parser.parse_args()
-    counts: dict[str, int] = {}
+    counts: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(arguments.first, arguments.end):
-            start = time.perf_counter()
-            line = compared(seed, arguments.spp, arguments.step_pixels, Path(folder))
-            counts[line.split()[0]] = counts.get(line.split()[0], 0) + 1
-            print(f"{seed:6} {time.perf_counter() - start:5.1f} s  {line}", flush=True)
-    print(", ".join(f"{number} {verdict}" for verdict, number in sorted(counts.items())))
+            compare = functools.partial(compared, seed, arguments.spp, arguments.step_pixels, Path(folder))
+            result = answered(compare)
+            counts[result["verdict"]] += 1
+            print(f"{seed}: {line(result)}", flush=True)
+    print(", ".join(f"{number} {verdict}" for verdict, number in counts.most_common()))
 
 
 if __name__ == "__main__":
