@@ -36,7 +36,7 @@ import numpy as np
 from gallery_scenes import NOT_COVERED, SIZE, Picture, gallery, write
 from rich.console import Console
 
-from mitsuba_crb import PoseBound, load_scene, noise, pose_bound
+from mitsuba_crb import PoseBound, load_scene, pose_bound
 from mitsuba_crb.errors import MitsubaCRBError, SceneWarning
 from mitsuba_crb.information.fisher import FisherInformation
 from mitsuba_crb.jacobian.finite_difference import step_for
@@ -92,11 +92,9 @@ def compared(path: Path, defines: dict[str, str], target: float, seconds: float)
         step = step_for(view.pixel_filter)
     flow, flow_spp = to_precision(scene, "flow", half, seconds, seed=1)
     # The same noise; other random numbers.
-    said = {"description", "origin"}
-    table = {key: value for key, value in flow.provenance["noise"].items() if key not in said}
-    model = noise.from_dict(table)
+    white = flow.provenance["noise"]["white"]
     differences, difference_spp = to_precision(
-        scene, "finite_difference", half, seconds, seed=2, noise=model, step_pixels=step
+        scene, "finite_difference", half, seconds, seed=2, exposure=white, step_pixels=step
     )
     return beside(flow, differences) | {"spp": [flow_spp, difference_spp], "step_pixels": step}
 

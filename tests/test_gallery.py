@@ -83,6 +83,14 @@ def answer(name: str, folder: Path) -> PoseBound:
     return pose_bound(scene, spp=8)
 
 
+@pytest.mark.slow
+def test_a_scene_is_measured_by_both_methods_under_the_same_noise(folder: Path) -> None:
+    path = PICTURES["emitter spot"].write(folder)
+    found = gallery.measured(path, "gaussian", target=0.05, seconds=1.0)
+    assert found["verdict"] == "agrees", found
+    assert np.array(found["flow"]).shape == np.array(found["finite_difference"]).shape == (7,)
+
+
 @pytest.mark.parametrize(
     ("factor", "error", "verdict"),
     [
